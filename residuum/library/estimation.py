@@ -121,6 +121,8 @@ def estimated(
         raise NotIdentifiable(f"{diverges}; {_IN_PIECES}") from None
     # An error before and after can be compared where both are of simulations: not by innovations.
     before = None if method == "kalman" else estimate(start, _pieces(parts, asked), free=())
+    # From the true values of a pendulum in its loop a search walked to numbers 170 times off, with
+    # bands of 20 %: what did not come to rest is said, and not answered with.
     says = unsettled(result, before)
     if says and method != "prediction":
         says = (*says, _IN_PIECES)

@@ -186,6 +186,8 @@ def _seconds_of_numbers(
     factor = seconds_of(unit) if unit else 1.0
     if factor is None:
         raise BadRecord(f"{where}: the time is in {unit!r}, which is no unit of time")
+    # Taken for seconds, the rows of a DataFrame as it is read from a file were one sample a second,
+    # whatever its column of times said.
     if array.dtype.kind in "iu" and not unit and not is_time:
         raise BadRecord(
             f"{where}: the index counts ({array[0]}, {array[min(1, len(array) - 1)]}, …), which may"

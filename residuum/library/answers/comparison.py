@@ -77,6 +77,7 @@ def region_json(region: Region) -> dict[str, Any]:
 
 
 def _percent(fit: float) -> str:
+    # A channel that stands still has no deviation from its mean to hold the error against.
     return f"{fit:.1f} %" if math.isfinite(fit) else "unknown (the record stands still)"
 
 

@@ -317,6 +317,7 @@ def held_text(held: HeldValue) -> str:
 
 def _values_text(values: Sequence[EstimatedValue]) -> list[str]:
     """One line for the values that the records contradict."""
+    # Of a machine whose mass had changed it would not be told why its model errs.
     estimates = [
         f"{v.name} = {value_text(v.value, v.std, v.unit)} (file: {v.file:.4g})"
         for v in values

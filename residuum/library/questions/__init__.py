@@ -112,6 +112,7 @@ class Question(BaseModel):
     def _as_written_now(cls, given: Any) -> Any:
         if not isinstance(given, dict):
             return given
+        # A name of before is read, and told; where both names are given, the new one counts.
         for old in [
             name for name, new in cls.renamed.items() if name in given and new not in given
         ]:
@@ -281,6 +282,7 @@ def asks(question: type[Question]) -> Callable[[Function], Function]:
     and to its docstring after the parameters of its own, but for `progress`, which is the last.
     """
 
+    # In the signature and in the docstring: both are what an editor and the reference show.
     def with_fields(function: Function) -> Function:
         signature = inspect.signature(function)
         # `**given` goes: each of its keywords stands in the signature by itself.

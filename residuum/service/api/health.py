@@ -33,6 +33,7 @@ def ready(running: Running, request: Request) -> Response:
     visible = {name: state for name, state in states.items() if caller_of(request).may_see(name)}
     named = troubled(visible)
     storing = running.store.troubles()
+    # Still 200 where a machine is not judged: nothing is gained by a restart.
     answer = {
         "status": "degraded" if named or storing else "ready",
         "version": version("residuum"),

@@ -202,6 +202,7 @@ class StrictRoute(APIRoute):
         handler = super().get_route_handler()
 
         async def strict(request: Request) -> Response:
+            # A warning of the service's process would reach nobody who could change the request.
             old: list[str] = []
             before = OLD_SPELLINGS.set(old.append)
             try:

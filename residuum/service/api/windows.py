@@ -140,6 +140,7 @@ async def get_signal(
             }
         )
 
+    # Piece by piece: a window of 64 MiB would cost its size for its picture.
     return await running.listing(view)
 
 

@@ -59,6 +59,7 @@ def score(
     )
     report(result, "\n".join(finding_text(finding) for finding in findings), as_json=as_json)
     if worst["verdict"] == Verdict.FAULTY:
+        # as every command whose question has yes and no for an answer
         raise typer.Exit(ANSWER_IS_NO)
 
 

@@ -111,6 +111,7 @@ class Database:
             if self.url.get_backend_name() == "sqlite"
             else {"isolation_level": "REPEATABLE READ"}
         )
+        # PostgreSQL sees one moment in a transaction of this level; SQLite does in any.
         with _storage_errors(), self.patiently(), self.engine.connect() as connection:
             connection = connection.execution_options(**level)
             if level:  # between two questions files may be written for minutes
@@ -156,6 +157,7 @@ class Database:
     @contextmanager
     def _turn(self) -> Iterator[None]:
         """Be the one that writes, after the others of this process."""
+        # Bounded: threads that wait to write would leave none to those who read.
         if not self._writers.acquire(blocking=False):
             raise Busy(f"database: {_MOST_WRITERS} others wait to write; try again in some seconds")
         try:
@@ -355,6 +357,7 @@ def _storage_errors() -> Iterator[None]:
                 f"database: another process has held its lock for {_PATIENCE:g} s; try again in"
                 " some seconds"
             )
+            # SQLite tells a lock that it has waited for, and a disk that is full, by one kind of error.
             raise Busy(locked) from error
         raise StorageUnavailable(f"database: {says}", full="full" in says.lower()) from error
     except PoolTimeout:

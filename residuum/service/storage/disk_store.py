@@ -481,6 +481,8 @@ class DiskStore:
         count, self._clock.doubt = 0, None
         while True:
             with self._database.patiently(), self._database.write() as connection:
+                # A batch a transaction: writers wait for one, not for all that goes. The trail tells what the
+                # service itself lets go, as it tells what somebody deletes.
                 paths = retention.let_go(connection, rule, _now(), self._clock)
                 if paths:
                     audit_trail.append(
@@ -544,6 +546,7 @@ class DiskStore:
 
         While something else may be writing, `settled` must exceed the time from a block to its row.
         """
+        # The blocks first: one whose row comes between the two looks is then known.
         paths = set(self._blocks.paths(settled))
         with self._database.read() as connection:
             return paths - {block.path for block in block_rows.references(connection)}

@@ -118,8 +118,10 @@ def signal_view(
             f"query, from and to: no sample in {begin} … {end} s; the window lasts"
             f" {record.n * record.sample_time:.6g} s"
         )
+    # All channels share what an answer may hold, so that a window of many does not take longer.
     points = min(points, max(_FEWEST, _MOST_SHOWN // len(record.units)))
     samples = max(1, -(-(last - first) // points))
+    # Two samples an interval would be told by two numbers each: they are given as they are.
     reduced = samples > 2
     channels = {
         name: {

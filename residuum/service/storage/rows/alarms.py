@@ -88,6 +88,7 @@ class JudgedWindow:
         # none stood above a threshold of its own: any counts
         raised_by = json.loads(row.raised_by or "[]") or None
         indicators, thresholds = self.finding.indicators, self.finding.thresholds
+        # An indicator that was never above its threshold must not hold the alarm of another one.
         standing = row.kind == MACHINE and row.condition
         return standing and in_deadband(self.rule, indicators, thresholds, raised_by)
 

@@ -89,6 +89,8 @@ def by_bytes(
     The sizes are asked for first: a row's documents as values of Python take ten times their bytes.
     One row is always given.
     """
+    # 500 findings with much evidence took 595 MiB, and five such lists 2.4 GiB, when rows were read
+    # before anybody knew how long they are.
     query, key, documents = listing
     size: ColumnElement[int] = sum(
         (func.coalesce(func.length(cast(part, Text)), 0) for part in documents), literal(0)
