@@ -45,6 +45,7 @@ from residuum.robust_control.weights.performance_weight import Infeasible
 __all__ = ["Controller", "Infeasible", "design"]
 
 _SHOWN_PLANTS = 20
+"""Drawn plants whose steps are drawn as a range."""
 _NO_LIMITS = (-math.inf, math.inf)
 
 

@@ -242,6 +242,7 @@ if TYPE_CHECKING:
 
 """Standard deviations of a 95 % band."""
 _FREQUENCIES = 300
+"""Frequencies of a response that is drawn."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)

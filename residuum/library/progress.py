@@ -18,6 +18,7 @@ watches.
 """
 
 _WIDTH = 78
+"""Characters of the line, which must not wrap: a terminal has 80."""
 
 
 @contextmanager

@@ -23,6 +23,7 @@ from residuum.library.result import Result, Row
 
 Records = MeasuredRecord | str | PathLike[str] | Sequence[MeasuredRecord | str | PathLike[str]]
 _FREQUENCIES = 300
+"""Frequencies of the post-filter's gain that are drawn."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -15,6 +15,7 @@ from residuum.nearest_names import known_names
 from residuum.simulation import MACHINES, BadSetting, Machine, Signals
 
 _MOST_SAMPLES = 50_000_000
+"""Of a record that is simulated: it is held in memory as a whole."""
 _COMMON = ("self", "seed", "effects", "faults", "exemplar")
 
 

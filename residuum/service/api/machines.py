@@ -52,6 +52,7 @@ router = APIRouter(tags=["machines"], route_class=StrictRoute, responses=PROBLEM
 
 MachineName = Annotated[str, Path(alias="asset", description="Name of the machine.", pattern=NAME)]
 _WINDOWS_SHOWN = 500
+"""Recorded windows that are listed, the newest."""
 _MOST_RECORDS = 64
 """Windows that become records at once: as many as an analysis takes."""
 _OF_TABLE = ({"kind": ["table"]},)

@@ -46,6 +46,7 @@ DERIVED_KEPT = 100
 time.
 """
 _LOOKED_AT = 500
+"""Newest records among which those of comparisons are looked for."""
 
 
 class Effect(BaseModel, extra="forbid"):

@@ -22,7 +22,9 @@ from residuum.service.storage.tables import audit, audit_head
 from residuum.service.store import AuditEntry, Page, StorageUnavailable
 
 _BEGIN = "0" * 64
+"""The digest before the first entry."""
 _AT_ONCE = 1000
+"""Entries that are fetched at once."""
 
 
 class BrokenAudit(Exception):

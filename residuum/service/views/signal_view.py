@@ -152,6 +152,7 @@ def _values(pieces: Iterator[Any], n: int, points: int, reduced: bool) -> dict[s
 # The work of a job.
 
 _POINTS, _LEVELS = 1500, 200
+"""Intervals of a residual that are drawn, and levels of its operating characteristic."""
 
 
 def read_identified(content: bytes) -> IdentifiedModel:
