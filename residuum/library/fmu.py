@@ -282,7 +282,8 @@ class FmuModel(Model):
     def _estimated(self, free: Sequence[str]) -> dict[str, Parameter]:
         """Parameters of the FMU that have a value of their own, or get one."""
         offered = self._described.parameters
-        # A parameter that has a value of its own stays among them, fixed, where it is not estimated.
+        # A parameter that has a value of its own stays among them, fixed, where it is not
+        # estimated.
         own = {n: parameter_of(offered[n]) for n in free if n in offered} | self._values
         return {n: replace(p, fixed=n not in free) for n, p in own.items()}
 

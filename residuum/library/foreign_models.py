@@ -51,7 +51,8 @@ def linear_model(
     >>> rs.linear_model(lag, inputs=["voltage"], outputs=["speed"], units=units).outputs
     {'speed': 'rad/s'}
     """
-    from residuum.identification.physics.files.linear_model import (  # noqa: PLC0415  SciPy, for these alone
+    # SciPy, for these alone
+    from residuum.identification.physics.files.linear_model import (  # noqa: PLC0415
         LinearSignals,
         linear_text,
         of_object,

@@ -53,7 +53,8 @@ def identified_by(
     `like` is a model of the same plant and method: the search begins there, and what only describes
     the model is left out.
     """
-    # Behind an integrator the model is one from the summed input, and gets its pole at one afterwards.
+    # Behind an integrator the model is one from the summed input, and gets its pole at one
+    # afterwards.
     method = _METHODS[asked.method]
     if not asked.integrator:
         return method(records, asked, like)

@@ -158,8 +158,9 @@ class Estimation(Result, Generic[M]):
         """The model with the estimated values; NotIdentifiable where the search did not come to
         rest.
         """
-        # A value at its bound is an answer: a first model that lacks physics fits with a friction at zero,
-        # and is what the next question begins with. Values that a search left on its way are none.
+        # A value at its bound is an answer: a first model that lacks physics fits with a friction
+        # at zero, and is what the next question begins with. Values that a search left on its way
+        # are none.
         if self.unsettled and not self.anyway:
             raise NotIdentifiable(
                 f"the estimation has not converged: {'; '.join(self.unsettled)}; `anyway=True`"

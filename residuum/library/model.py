@@ -298,8 +298,8 @@ class Model(DescribedModel):
         """The records without what no sensor measured, as `compare` leaves it out, and what that
         was.
         """
-        # All four questions leave out the same: error codes that one of them kept, twelve rows of 600,
-        # became a floor of 18 °C, and its answer contradicted the others'.
+        # All four questions leave out the same: error codes that one of them kept, twelve rows of
+        # 600, became a floor of 18 °C, and its answer contradicted the others'.
         return records_without_odd(self.physical, given, map)
 
     @asks(Compare)

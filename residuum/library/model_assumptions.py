@@ -395,7 +395,8 @@ def parts_kept_aside(
     cuts = [record.n for record in estimation]
     judged = model
     if cuts == [record.n for record in whole]:
-        # No record has a split note: a fit of the first part stands for the model, which has seen all.
+        # No record has a split note: a fit of the first part stands for the model, which has seen
+        # all.
         cuts = [round((1 - KEPT_ASIDE) * n) for n in cuts]
         first = [
             record.window(max(0, cut - _MOST_REFITTED), cut)

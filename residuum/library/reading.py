@@ -158,8 +158,8 @@ def seconds(
     """
     array = _array_of_times(values, where)
     if array.dtype.kind in "mM":
-        # From the first one on, as whole nanoseconds: seconds since 1970 as a double would be rounded to
-        # some 0.2 µs.
+        # From the first one on, as whole nanoseconds: seconds since 1970 as a double would be
+        # rounded to some 0.2 µs.
         return np.asarray((array - array[0]) / np.timedelta64(1, "ns") * 1e-9, dtype=float)
     return _seconds_of_numbers(array, where, unit, is_time=is_time, near=near)
 

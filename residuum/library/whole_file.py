@@ -26,7 +26,8 @@ def write_whole(path: Path, content: str | bytes) -> None:
     try:
         with os.fdopen(handle, "wb") as file:
             file.write(content.encode() if isinstance(content, str) else content)
-        # A temporary file is its owner's alone; the file gets the mode of any other that is written.
+        # A temporary file is its owner's alone; the file gets the mode of any other that is
+        # written.
         os.chmod(part, 0o666 & ~_umask())
         os.replace(part, path)
     except BaseException:

@@ -197,8 +197,8 @@ def _margin_text(margin: dict[str, float | None] | None) -> list[str]:
 
 def _about(result: dict[str, Any]) -> list[str]:
     about, lines = result["largest_uncertainty_about"], []
-    # A controller cannot answer a measurement within the sample that its own signal moves: an algebraic
-    # loop of gains of thousands looked stable, and diverged on the true plant.
+    # A controller cannot answer a measurement within the sample that its own signal moves: an
+    # algebraic loop of gains of thousands looked stable, and diverged on the true plant.
     if result["computation_samples"]:
         lines = [
             "  the plant acts within its sample: the loop is closed one sample later, as a"

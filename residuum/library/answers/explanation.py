@@ -307,11 +307,10 @@ def held_text(held: HeldValue) -> str:
         if held.indistinguishable_from
         else ""
     )
-    asked = value_text(held.value, held.std, held.unit)
+    asked, way_on = value_text(held.value, held.std, held.unit), said("free", [held.name])
     return (
         f"  {held.name} is fixed at {held.held:.4g} {held.unit}; the records ask for {asked}, which"
-        f" explains more than an effect would{alike}: improve with {said('free', [held.name])} takes"
-        " it up"
+        f" explains more than an effect would{alike}: improve with {way_on} takes it up"
     )
 
 

@@ -225,8 +225,8 @@ def add_records(running: Running, machine: MachineName, asked: WindowsAsRecords)
     channels = settings.channels
     if asked.complete:
         used = used_by(model_of_settings(running.store, settings.model) if settings.model else None)
-        # A register that is read late leaves a hole, and one such window among a hundred would end a
-        # comparison of all.
+        # A register that is read late leaves a hole, and one such window among a hundred would end
+        # a comparison of all.
         taken = complete_windows(
             running.store, machine, asked.windows, channels, used, asked.complete
         )

@@ -56,11 +56,10 @@ _OF_DIAGNOSERS = [
     *(
         query_parameter(
             name,
-            "number" if float in kinds(hint) else "string",
-            f"{help_of(Score.model_fields[name])} {written(Score.model_fields[name]) or ''}".strip(),
+            "number" if float in kinds(get_type_hints(Score)[name]) else "string",
+            f"{help_of(field)} {written(field) or ''}".strip(),
         )
-        for name, hint in get_type_hints(Score).items()
-        if name in Score.model_fields
+        for name, field in Score.model_fields.items()
     ),
 ]
 _DESCRIBED = SIGNAL_BODY | {"parameters": [_DIAGNOSER, *SIGNAL_QUERY, *_OF_DIAGNOSERS]}

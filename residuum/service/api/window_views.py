@@ -188,7 +188,8 @@ def _residual(running: Services, asset: str, window: int, judge: RobustResidual)
         record.in_unit(judge.input, model.input_unit),
         record.in_unit(judge.output, model.output_unit),
     )
-    # From rest, as the window was judged: the first samples fill the filters' memory, and are not valid.
+    # From rest, as the window was judged: the first samples fill the filters' memory, and are not
+    # valid.
     monitor = judge.stream()
     signals, bank = monitor.process(u, y)
     residual, statistic = (

@@ -184,8 +184,8 @@ def _error_codes(
             continue
         values = np.asarray(signal, dtype=float)
         rows, _, _ = far_beside(values, units[name])
-        # Twelve rows of 600 that read −127 or 85 once made a noise of 18 °C, beside which no error of the
-        # model could be seen.
+        # Twelve rows of 600 that read −127 or 85 once made a noise of 18 °C, beside which no error
+        # of the model could be seen.
         coded = rows[is_mark(values[rows]) | (values[rows] == POWER_ON)].tolist()
         if coded:
             codes = sorted({float(values[row]) for row in coded})

@@ -34,7 +34,8 @@ def expanded(
         return function(**given, **{name: question_of(texts)})
 
     own = {
-        # Keywords all: options may then stand before arguments without defaults, in their own place.
+        # Keywords all: options may then stand before arguments without defaults, in their own
+        # place.
         part: [parameter.replace(kind=parameter.KEYWORD_ONLY, annotation=hints[part])]
         for part, parameter in inspect.signature(function).parameters.items()
     }

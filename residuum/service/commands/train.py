@@ -60,7 +60,8 @@ def train(
             f"{labels}: only the gate-actuator diagnoser knows exemplars, not {diagnoser!r}; give"
             " record,label, or --validate"
         )
-    # The stored diagnoser has learned from all; those of the validation are others, and are dropped.
+    # The stored diagnoser has learned from all; those of the validation are others, and are
+    # dropped.
     lessons.teach(judge, range(len(records))).save(out)
     validation = None
     if validate is not None:

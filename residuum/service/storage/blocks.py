@@ -80,12 +80,13 @@ class Blocks:
             folder = self._day_folder(day)
             with open(folder / name, "xb", buffering=0) as file:
                 digest = _write_all(file.fileno(), parts)
-                # The file's bytes, then its name in the folder: a file whose entry is not on disk is gone
-                # after a power cut, whatever it holds.
+                # The file's bytes, then its name in the folder: a file whose entry is not on disk
+                # is gone after a power cut, whatever it holds.
                 os.fsync(file.fileno())
             sync_folder(folder)
         except OSError as error:
-            # A block that was written half-way would be swept only later, and takes room until then.
+            # A block that was written half-way would be swept only later, and takes room until
+            # then.
             self.discard(f"{day}/{name}")
             raise _unavailable(error) from error
         return BlockReference(f"{day}/{name}", digest, sum(map(len, parts)))

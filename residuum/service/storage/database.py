@@ -357,7 +357,8 @@ def _storage_errors() -> Iterator[None]:
                 f"database: another process has held its lock for {_PATIENCE:g} s; try again in"
                 " some seconds"
             )
-            # SQLite tells a lock that it has waited for, and a disk that is full, by one kind of error.
+            # SQLite tells a lock that it has waited for, and a disk that is full, by one kind of
+            # error.
             raise Busy(locked) from error
         raise StorageUnavailable(f"database: {says}", full="full" in says.lower()) from error
     except PoolTimeout:

@@ -481,8 +481,8 @@ class DiskStore:
         count, self._clock.doubt = 0, None
         while True:
             with self._database.patiently(), self._database.write() as connection:
-                # A batch a transaction: writers wait for one, not for all that goes. The trail tells what the
-                # service itself lets go, as it tells what somebody deletes.
+                # A batch a transaction: writers wait for one, not for all that goes. The trail
+                # tells what the service itself lets go, as it tells what somebody deletes.
                 paths = retention.let_go(connection, rule, _now(), self._clock)
                 if paths:
                     audit_trail.append(

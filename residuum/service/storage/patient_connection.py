@@ -52,8 +52,8 @@ class PatientConnection(psycopg.Connection[Any]):
         unknown.
         """
         try:
-            # psycopg's generators yield what they wait for, and are sent what is ready; nothing is, after
-            # each of its own short waits.
+            # psycopg's generators yield what they wait for, and are sent what is ready; nothing is,
+            # after each of its own short waits.
             step = next(generator)
             heard = time.monotonic()
             while True:

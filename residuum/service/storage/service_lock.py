@@ -130,8 +130,8 @@ class _AdvisoryLock:
             if self._free(connection):
                 self._connection = connection
                 return True
-            # After a partition the server may still believe in the session of ours that was lost, and
-            # would hold the lock for it: that one is ended, another service's is not.
+            # After a partition the server may still believe in the session of ours that was lost,
+            # and would hold the lock for it: that one is ended, another service's is not.
             holders = set(connection.scalars(_HOLDERS, {"number": self._number}))
             for ours in holders & self._sessions:
                 connection.execute(text("SELECT pg_terminate_backend(:session)"), {"session": ours})

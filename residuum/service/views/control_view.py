@@ -69,8 +69,8 @@ def view_control_design(
     mapping
         `feasible`, else `reason`; `frequency` [Hz] of all that is drawn; `uncertainty`; `input` and
         `output` of the plant; `points` of the front with `chosen`, the index of the preferred one.
-        A point has its `controller`, certified `cost`, |S|, |T|, |W_S|, |W_T| and their `total`, the
-        open `loop` with the range over drawn plants, step responses (`time` [s], `nominal`,
+        A point has its `controller`, certified `cost`, |S|, |T|, |W_S|, |W_T| and their `total`,
+        the open `loop` with the range over drawn plants, step responses (`time` [s], `nominal`,
         `drawn`, and the same of the `control` signal u), their `figures`, and `exports`.
 
     Raises
@@ -140,7 +140,8 @@ def _with_chosen(
         if (point.first, point.second) == (chosen.first, chosen.second)
     )
     return [
-        # The search for the front stops as soon as a pair is feasible: the others are minimised here.
+        # The search for the front stops as soon as a pair is feasible: the others are minimised
+        # here.
         chosen if k == index else refined(problem.loop, problem.weights(wishes, point), point)
         for k, point in enumerate(front)
     ], index
@@ -239,7 +240,8 @@ class _Picture:
         W_S = np.interp(self._omega, self._problem.loop.omega, weights.W_S)
         W_T = np.interp(self._omega, self._problem.loop.omega, weights.W_T)
         parts = [W_S * np.abs(S), W_T * np.abs(L * S)]
-        # |W_S S| + |W_T T| where both stand in one entry, else the norm of the column (W_S S, W_T T).
+        # |W_S S| + |W_T T| where both stand in one entry, else the norm of the column (W_S S, W_T
+        # T).
         total = parts[0] + parts[1] if weights.entries == "1" else np.hypot(*parts)
         return {
             "S": _plain(np.abs(S)),

@@ -209,8 +209,8 @@ def plain(value: Any) -> Any:
     """
     if isinstance(value, datetime):
         return value.astimezone(UTC).isoformat()
-    # A flip in the declared type of a column (FLOAT to FLOZT) lets SQLite give 22 for 22.0: both are
-    # the same value here.
+    # A flip in the declared type of a column (FLOAT to FLOZT) lets SQLite give 22 for 22.0: both
+    # are the same value here.
     if isinstance(value, int | float) and not isinstance(value, bool):
         # Adding 0.0 makes 0.0 of −0.0. Beyond double range a whole number is told as it is written.
         return repr(float(value) + 0.0) if abs(value) < 1e300 else str(value)
