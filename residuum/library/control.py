@@ -12,6 +12,8 @@ from typing import Any
 
 import numpy as np
 
+from residuum.identification.errors import BadInput
+from residuum.identification.kernel_based.multivariable import load_multivariable
 from residuum.identification.linear_models.identified_model import IdentifiedModel
 from residuum.identification.linear_models.transfer_function import TransferFunction
 from residuum.library.answers.control_design import (
@@ -19,6 +21,8 @@ from residuum.library.answers.control_design import (
     design_text,
     promise_and_measurement,
 )
+from residuum.library.answers.multivariable_control import design_json as multivariable_json
+from residuum.library.answers.plain import to_plain
 from residuum.library.picture import Curve, Panel, Picture
 from residuum.library.plant import Plant, plant_of, to_control
 from residuum.library.questions import asks
@@ -34,12 +38,14 @@ from residuum.robust_control.control_problem import (
     Wishes,
 )
 from residuum.robust_control.controller_export import LANGUAGES, DifferenceEquation
+from residuum.robust_control.multivariable_control import MultivariableProblem
 from residuum.robust_control.synthesis.constrained_structure import Constrained, ControllerStructure
 from residuum.robust_control.weights.performance_weight import Infeasible
 
 __all__ = ["Controller", "Infeasible", "design"]
 
 _SHOWN_PLANTS = 20
+"""Drawn plants whose steps are drawn as a range."""
 _NO_LIMITS = (-math.inf, math.inf)
 
 
@@ -110,7 +116,8 @@ class Controller(Result):
         Examples
         --------
         >>> import residuum as rs
-        >>> plant = rs.identify(rs.simulate("process-plant", seed=1), input="u", output="y", method="arx", order=2)
+        >>> record = rs.simulate("process-plant", seed=1)
+        >>> plant = rs.identify(record, input="u", output="y", method="arx", order=2)
         >>> controller = rs.control.design(plant)
         >>> type(controller.to_control()).__name__
         'TransferFunction'
@@ -137,7 +144,8 @@ class Controller(Result):
         Examples
         --------
         >>> import residuum as rs
-        >>> plant = rs.identify(rs.simulate("process-plant", seed=1), input="u", output="y", method="arx", order=2)
+        >>> record = rs.simulate("process-plant", seed=1)
+        >>> plant = rs.identify(record, input="u", output="y", method="arx", order=2)
         >>> controller = rs.control.design(plant)
         >>> "u" in controller.difference_equation().text()
         True
@@ -170,7 +178,8 @@ class Controller(Result):
         Examples
         --------
         >>> import residuum as rs
-        >>> plant = rs.identify(rs.simulate("process-plant", seed=1), input="u", output="y", method="arx", order=2)
+        >>> record = rs.simulate("process-plant", seed=1)
+        >>> plant = rs.identify(record, input="u", output="y", method="arx", order=2)
         >>> controller = rs.control.design(plant)
         >>> "controller_step" in controller.export_c(limits=(-10.0, 10.0))
         True
@@ -200,7 +209,8 @@ class Controller(Result):
         Examples
         --------
         >>> import residuum as rs
-        >>> plant = rs.identify(rs.simulate("process-plant", seed=1), input="u", output="y", method="arx", order=2)
+        >>> record = rs.simulate("process-plant", seed=1)
+        >>> plant = rs.identify(record, input="u", output="y", method="arx", order=2)
         >>> controller = rs.control.design(plant)
         >>> "END_FUNCTION_BLOCK" in controller.export_structured_text()
         True
@@ -235,6 +245,7 @@ class Controller(Result):
         return [{"parameter": name, "value": value} for name, value in self.parameters.items()]
 
     def _picture(self) -> Picture:
+        # Three median settling times, or the horizon that the figures were taken over.
         duration = min(
             self.problem.horizon,
             3.0 * float(np.median([figure.settling_time for figure in self.figures])),
@@ -293,7 +304,8 @@ def design(
     See `Controller`.
 
     >>> import residuum as rs
-    >>> plant = rs.identify(rs.simulate("process-plant", seed=1), input="u", output="y", method="arx", order=2)
+    >>> record = rs.simulate("process-plant", seed=1)
+    >>> plant = rs.identify(record, input="u", output="y", method="arx", order=2)
     >>> rs.control.design(plant, structure="pi").structure
     'pi'
     """
@@ -347,3 +359,31 @@ def law(problem: ControlProblem, asked: DesignController) -> ControllerStructure
 
 def _described(plant: Plant) -> str:
     return f"{plant.identified.input_name} → {plant.identified.output_name}"
+
+
+def design_multivariable(file: str | PathLike[str], asked: DesignController) -> dict[str, Any]:
+    """The `control design` object: a static decoupler, and a controller of the structure for every
+    output.
+
+    Raises
+    ------
+    BadInput, BadModel
+        Another aim than the nominal one, what single loops have alone, a file or plant that does
+        not suit.
+    Infeasible
+        No controller of the structure meets the aim in a loop.
+    """
+    for name in ("fix", "within", "limits"):
+        if getattr(asked, name):
+            raise BadInput("", name, "is for a plant of one input and one output; leave it out")
+    problem = MultivariableProblem(
+        load_multivariable(str(file)), asked.seed, asked.handed_to(WeightChoice)
+    )
+    design = problem.solve(
+        STRUCTURES[asked.structure](problem.sample_time), asked.handed_to(Wishes)
+    )
+    described = {"aim": "nominal", "structure": asked.structure, "models": [str(file)]}
+    plain: dict[str, Any] = to_plain(
+        described | multivariable_json(problem, design) | {"file": None}
+    )
+    return plain

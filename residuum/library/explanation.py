@@ -27,9 +27,11 @@ if TYPE_CHECKING:
     import pandas
 
 _SHOWN = 8
+"""Candidates whose probabilities are drawn."""
 _COMPARED = 3
 """Candidates whose curves are drawn beside one another."""
 _BINS = 40
+"""Bins of the signal that the missing term is drawn over."""
 
 
 def _physical(axes: Sequence[Axis]) -> Sequence[Axis]:
@@ -53,7 +55,8 @@ class Explanation(Result):
     Examples
     --------
     >>> import residuum as rs
-    >>> record = rs.simulate("gate-drive", effects={"coulomb-friction": "large"}, duration=20.0, seed=1)
+    >>> hidden = {"coulomb-friction": "large"}
+    >>> record = rs.simulate("gate-drive", effects=hidden, duration=20.0, seed=1)
     >>> why = rs.model("gate-drive").explain(record, effects=["coulomb-friction", "quadratic-drag"])
     >>> why.verdict, why.best.effect, why.best.balance
     ('missing-effect', 'coulomb-friction', 'shaft')
@@ -165,6 +168,7 @@ class Explanation(Result):
             if several
             else np.array([(begin + end) / 2 for begin, end in blocks.times])
         )
+        # The verdict's candidates come first.
         leading = [c.key for c in self.found.candidates if c.key in blocks.candidates][:_COMPARED]
         panels = []
         for o, (output, unit) in enumerate(zip(blocks.outputs, blocks.units, strict=True)):
@@ -189,11 +193,12 @@ class Explanation(Result):
         candidates = [c for c in self.found.candidates if c.step == 0 and c.balance in missing[0]]
         if not candidates:
             return []
-        balance, unit = candidates[0].balance, missing[0][candidates[0].balance].unit
-        term, std = (
-            np.concatenate([getattr(by_balance[balance], part) for by_balance in missing])
-            for part in ("value", "std")
-        )
+        balance = candidates[0].balance
+        terms = [by_balance[balance] for by_balance in missing]
+        # the records one after the other, as the axes are joined
+        term = np.concatenate([smoothed.value for smoothed in terms])
+        std = np.concatenate([smoothed.std for smoothed in terms])
+        # The axis over which the term is most of a function; inputs go along with most of them.
         over = telling(_physical(joined(compared.axes)), term, _BINS)
         shown, band = binned(over.values, term, _BINS), 2.0 * binned(over.values, std, _BINS).mean
         curves = [
@@ -205,19 +210,18 @@ class Explanation(Result):
                 shown.mean + band,
             )
         ]
-        for c in [c for c in candidates if c.balance == balance][:_COMPARED]:
-            values = {name: quantity.value for name, quantity in c.parameters.items()}
-            every = effect_curves(compared.model, compared.experiments, c.key, values)
-            curves += [
-                Curve(c.effect, curve.at, curve.mean)
-                for along, curve in every
-                if along.name == over.name
-            ]
+        for candidate in [c for c in candidates if c.balance == balance][:_COMPARED]:
+            curves += self._added_by(candidate, over)
+        x, y = axis(over.name, over.unit), axis("missing term", terms[0].unit)
+        return [Panel(f"what {balance} lacks", x, y, curves)]
+
+    def _added_by(self, candidate: Candidate, over: Axis) -> list[Curve]:
+        """What a candidate adds to its balance along a signal, where it is a function of that."""
+        compared = self.comparison.found
+        values = {name: quantity.value for name, quantity in candidate.parameters.items()}
+        every = effect_curves(compared.model, compared.experiments, candidate.key, values)
         return [
-            Panel(
-                f"what {balance} lacks",
-                axis(over.name, over.unit),
-                axis("missing term", unit),
-                curves,
-            )
+            Curve(candidate.effect, curve.at, curve.mean)
+            for along, curve in every
+            if along.name == over.name
         ]

@@ -25,7 +25,8 @@ class Finding(Result):
     --------
     >>> import residuum as rs
     >>> healthy = rs.simulate("process-plant", seed=1)
-    >>> finding = rs.monitor("robust-residual").fit(healthy).score(rs.simulate("process-plant", seed=2))
+    >>> window = rs.simulate("process-plant", seed=2)
+    >>> finding = rs.monitor("robust-residual").fit(healthy).score(window)
     >>> finding.verdict
     'healthy'
     """

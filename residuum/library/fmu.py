@@ -151,6 +151,7 @@ class FmuModel(Model):
             )
             for name, value in own.items()
         }
+        # What is no parameter of an effect is one of the FMU, or is refused as such.
         effects = {name: value for name, value in values.items() if name not in own}
         return self._copy(self._values | changed, self.physical.with_values(effects))
 
@@ -190,6 +191,7 @@ class FmuModel(Model):
             any(column in record.names for column in columns) for record in records
         ):
             return None
+        # Nothing is estimated here: only the error at each timing is compared.
         model, lent = self._lent(dict(self._values), records, map)
         matched, experiments = match(model.physical, lent, map)
 
@@ -252,6 +254,7 @@ class FmuModel(Model):
         model, lent = self._lent(parameters, taken, map)
         measured = model._measured(lent, map)
         foreign: Any = model.physical.foreign
+        # A step of differences is chosen for each of them before the search, at the start values.
         differenced = [n for n in free if n in parameters and n not in self._derivatives(model)]
         foreign.steps = with_steps(*_matched(model, measured, map, asked.hold), names=differenced)
         estimation = model.estimate(measured, map=map, **asked.model_dump() | {"free": free})
@@ -260,7 +263,7 @@ class FmuModel(Model):
         return replace(
             estimation,
             fitted=self._copy(self._values | values, fitted),
-            slopes=_told(parameters, free, foreign.steps),
+            slopes=_slope_methods(parameters, free, foreign.steps),
         )
 
     def _free(self, asked: Estimate) -> tuple[str, ...]:
@@ -279,6 +282,8 @@ class FmuModel(Model):
     def _estimated(self, free: Sequence[str]) -> dict[str, Parameter]:
         """Parameters of the FMU that have a value of their own, or get one."""
         offered = self._described.parameters
+        # A parameter that has a value of its own stays among them, fixed, where it is not
+        # estimated.
         own = {n: parameter_of(offered[n]) for n in free if n in offered} | self._values
         return {n: replace(p, fixed=n not in free) for n, p in own.items()}
 
@@ -316,11 +321,11 @@ def _matched(
     return match(model.physical, records, map, hold)
 
 
-def _told(
+def _slope_methods(
     parameters: Mapping[str, Parameter], free: Sequence[str], steps: Mapping[str, Any]
 ) -> dict[str, dict[str, Any]]:
     """By what the slopes of each parameter were had."""
-    told = {}
+    methods = {}
     for name in free:
         if name in steps:
             step = steps[name].of(parameters[name].value)
@@ -329,16 +334,17 @@ def _told(
             how = "directional derivatives", None, None
         else:
             continue
-        told[name] = dict(
+        methods[name] = dict(
             zip(("by", "step", "error"), how, strict=True), unit=parameters[name].unit
         )
-    return told
+    return methods
 
 
 @lru_cache(maxsize=8)
 def _instance(path: str, changed: int) -> Instance:
     """The one instance of an FMU in this process, of this version of its file."""
     described = named(path).described
+    # An FMU that cannot be simulated by itself is exchanged, whatever else it lacks.
     return Instance(described, exchanged=is_exchangeable(described) or described.simulation is None)
 
 

@@ -47,10 +47,12 @@ def linear_model(
     --------
     >>> import residuum as rs, scipy.signal
     >>> lag = scipy.signal.TransferFunction([2.0], [0.5, 1.0])
-    >>> rs.linear_model(lag, inputs=["voltage"], outputs=["speed"], units={"voltage": "V", "speed": "rad/s"}).outputs
+    >>> units = {"voltage": "V", "speed": "rad/s"}
+    >>> rs.linear_model(lag, inputs=["voltage"], outputs=["speed"], units=units).outputs
     {'speed': 'rad/s'}
     """
-    from residuum.identification.physics.files.linear_model import (  # noqa: PLC0415  SciPy, for these alone
+    # SciPy, for these alone
+    from residuum.identification.physics.files.linear_model import (  # noqa: PLC0415
         LinearSignals,
         linear_text,
         of_object,
@@ -110,7 +112,8 @@ def equations_model(
     from residuum.identification.physics.files.sympy_model import model_table  # noqa: PLC0415
 
     by_name = {str(state): rate for state, rate in rates.items()}
-    if unlike := set(by_name) ^ set(states):
+    unlike = set(by_name) ^ set(states)
+    if unlike:
         raise BadModel(f"equations: state {sorted(unlike)[0]!r} needs both a rate and a unit")
     plain = model_table(
         name,
@@ -119,4 +122,5 @@ def equations_model(
         (dict(states), dict(inputs or {}), dict(parameters or {})),
         dict(kinds or {}),
     )
+    # By the text of a model file: what the file's rules refuse is refused here in the same words.
     return model(yaml.safe_dump(plain, sort_keys=False, allow_unicode=True, width=10_000))

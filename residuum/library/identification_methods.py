@@ -38,6 +38,7 @@ NOISE_MODELLED = ("arx", "armax", "bj")
 _LONGEST_DELAY, _DELAYS_BEYOND = 20, 5
 """Delays that are always tried, and how far beyond where the input acts for certain."""
 _DELAYS_IN_A_LOOP = 8
+"""Delays at most that are compared by fits where the input answers the output."""
 _NO_DELAY_ZERO = (
     "delay 0 was left out of the estimate: a plant that answers within the sample looks like a"
     " loop; give `delay` 0 if it is one"
@@ -52,6 +53,8 @@ def identified_by(
     `like` is a model of the same plant and method: the search begins there, and what only describes
     the model is left out.
     """
+    # Behind an integrator the model is one from the summed input, and gets its pole at one
+    # afterwards.
     method = _METHODS[asked.method]
     if not asked.integrator:
         return method(records, asked, like)
@@ -74,6 +77,7 @@ def _kernel(
         delay=delay,
         noise_variance=asked.noise_variance,
         offset=asked.offset,
+        # Bands know the doubt of the hyper-parameters, but for a fit that only serves a comparison.
         hyper_uncertainty=like is None or asked.check,
         cover_cut=like is None,
         like=like,
@@ -83,6 +87,7 @@ def _kernel(
 def _delay(records: Sequence[Record], asked: Identify) -> int:
     if asked.delay is not None:
         return asked.delay
+    # The likelihood of a delay far below where the input acts is flat: candidates go beyond that.
     longest = max(_LONGEST_DELAY, _first_significant_lag(records, asked) + _DELAYS_BEYOND)
     try:
         return estimate_delay(
@@ -122,9 +127,11 @@ def _delays_in_a_loop(records: Sequence[Record], asked: Identify) -> list[int]:
         autoregression = long_autoregression(records, asked.input_name, asked.output_name)
     except NotIdentifiable:
         return []
+    # Without feedback the kernel's likelihood compares delays, lag 0 among them.
     answers = feedback_test(autoregression)
     if answers is None or not answers.present:
         return []
+    # Spread evenly, both ends among them: each delay costs a fit of its own.
     latest = dead_time(autoregression) or 1
     return sorted(
         {round(float(delay)) for delay in np.linspace(1, latest, min(latest, _DELAYS_IN_A_LOOP))}

@@ -39,9 +39,11 @@ class Improvement(Result, Generic[M]):
     Examples
     --------
     >>> import residuum as rs
-    >>> record = rs.simulate("gate-drive", effects={"coulomb-friction": "large"}, duration=20.0, seed=1)
+    >>> hidden = {"coulomb-friction": "large"}
+    >>> record = rs.simulate("gate-drive", effects=hidden, duration=20.0, seed=1)
     >>> better = rs.model("gate-drive").improve(record, add=["coulomb-friction"])
-    >>> [step["added"] for step in better.history], better.history[1]["error"] < 0.5 * better.history[0]["error"]
+    >>> before, after = better.history
+    >>> [before["added"], after["added"]], after["error"] < 0.5 * before["error"]
     ([None, 'coulomb-friction'], True)
     """
 
@@ -155,6 +157,9 @@ class Estimation(Result, Generic[M]):
         """The model with the estimated values; NotIdentifiable where the search did not come to
         rest.
         """
+        # A value at its bound is an answer: a first model that lacks physics fits with a friction
+        # at zero, and is what the next question begins with. Values that a search left on its way
+        # are none.
         if self.unsettled and not self.anyway:
             raise NotIdentifiable(
                 f"the estimation has not converged: {'; '.join(self.unsettled)}; `anyway=True`"
@@ -175,6 +180,7 @@ class Estimation(Result, Generic[M]):
 
     def _answer(self) -> dict[str, Any]:
         answer = estimate_json(self.given, self.records, self.found, self.unsettled)
+        # Values of a search that did not come to rest contradict nothing yet.
         against = disagreement(self.found) if self.converged else ()
         given = self.found.model, self.experiments
         answer["warnings"] = (

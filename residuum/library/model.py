@@ -30,7 +30,7 @@ from residuum.identification.record import Record as MeasuredRecord
 from residuum.identification.residual_analysis.compare import compare
 from residuum.identification.residual_analysis.odd_readings import records_without_odd
 from residuum.library.comparison import Comparison
-from residuum.library.progress import Progress, told
+from residuum.library.progress import Progress, progress_shown
 from residuum.library.questions import asks
 from residuum.library.questions.compare import Compare
 from residuum.library.questions.estimate import Estimate
@@ -258,6 +258,7 @@ def model(source: str | PathLike[str]) -> Model:
     >>> rs.model("gate-drive").outputs
     {'speed': 'rad/s', 'current': 'A'}
     """
+    # A name or a path has one line.
     if isinstance(source, str) and "\n" in source:
         return Model(read_model(source))
     return Model(load_model(Path(source) if isinstance(source, PathLike) else source), str(source))
@@ -296,6 +297,8 @@ class Model(DescribedModel):
         """The records without what no sensor measured, as `compare` leaves it out, and what that
         was.
         """
+        # All four questions leave out the same: error codes that one of them kept, twelve rows of
+        # 600, became a floor of 18 °C, and its answer contradicted the others'.
         return records_without_odd(self.physical, given, map)
 
     @asks(Compare)
@@ -323,7 +326,8 @@ class Model(DescribedModel):
         Examples
         --------
         >>> import residuum as rs
-        >>> record = rs.simulate("gate-drive", effects={"coulomb-friction": "large"}, duration=10.0, seed=1)
+        >>> hidden = {"coulomb-friction": "large"}
+        >>> record = rs.simulate("gate-drive", effects=hidden, duration=10.0, seed=1)
         >>> rs.model("gate-drive").compare(record).structured
         True
         """
@@ -362,7 +366,8 @@ class Model(DescribedModel):
         Examples
         --------
         >>> import residuum as rs
-        >>> record = rs.simulate("gate-drive", effects={"coulomb-friction": "large"}, duration=6.0, seed=1)
+        >>> hidden = {"coulomb-friction": "large"}
+        >>> record = rs.simulate("gate-drive", effects=hidden, duration=6.0, seed=1)
         >>> drive = rs.model("gate-drive")
         >>> drive.explain(record, effects=["coulomb-friction"]).best.effect
         'coulomb-friction'
@@ -377,7 +382,7 @@ class Model(DescribedModel):
         asked = Explain.of(given)
         asked.use_own()
         measured = self._measured(records, map)
-        with told(progress) as tell:
+        with progress_shown(progress) as tell:
             ensure_compiled(tell)
             searching = partial(
                 explain,
@@ -419,7 +424,8 @@ class Model(DescribedModel):
         Examples
         --------
         >>> import residuum as rs
-        >>> record = rs.simulate("gate-drive", effects={"coulomb-friction": "large"}, duration=6.0, seed=1)
+        >>> hidden = {"coulomb-friction": "large"}
+        >>> record = rs.simulate("gate-drive", effects=hidden, duration=6.0, seed=1)
         >>> drive = rs.model("gate-drive")
         >>> drive.improve(record, add="coulomb-friction").model.effects
         ('coulomb-friction@shaft',)
@@ -433,7 +439,7 @@ class Model(DescribedModel):
         asked = Improve.of(given)
         asked.use_own()
         measured, left_out = self._sensed(self._measured(records, map), map)
-        with told(progress) as tell:
+        with progress_shown(progress) as tell:
             ensure_compiled(tell)
             improved = asked.handed_to(partial(improve, self.physical, measured, map, tell=tell))
         matched = match(self.physical, measured, map)
@@ -468,7 +474,8 @@ class Model(DescribedModel):
         Examples
         --------
         >>> import residuum as rs
-        >>> record = rs.simulate("gate-drive", effects={"coulomb-friction": "large"}, duration=6.0, seed=1)
+        >>> hidden = {"coulomb-friction": "large"}
+        >>> record = rs.simulate("gate-drive", effects=hidden, duration=6.0, seed=1)
         >>> drive = rs.model("gate-drive")
         >>> fitted = drive.estimate(record).model
         >>> fitted.parameters["R"].value != drive.parameters["R"].value
@@ -479,15 +486,7 @@ class Model(DescribedModel):
 
         asked = Estimate.of(given)
         measured, left_out = self._sensed(self._measured(records, map), map)
-        estimation = estimated(
-            self.physical,
-            measured,
-            map,
-            free=asked.free,
-            method=asked.method,
-            steps=asked.steps,
-            hold=asked.hold,
-        )
+        estimation = estimated(self.physical, measured, map, asked)
         result, fitted = estimation.estimate, Model(estimation.estimate.model)
         answer = (
             self._given,
@@ -532,7 +531,8 @@ class Model(DescribedModel):
         Examples
         --------
         >>> import numpy as np, residuum as rs
-        >>> push = rs.from_arrays({"force": np.full(11, 95.0)}, units={"force": "N"}, sample_time=0.1)
+        >>> force = np.full(11, 95.0)
+        >>> push = rs.from_arrays({"force": force}, units={"force": "N"}, sample_time=0.1)
         >>> axis = rs.model("linear-axis").with_values(M=95.0)
         >>> float(axis.simulate(push)["velocity"][-1].round(9))   # 1 m/s² for 1 s
         1.0

@@ -4,6 +4,7 @@ do instead.
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
@@ -31,16 +32,30 @@ from residuum.identification.linear_models.plant_tests import (
 )
 from residuum.identification.linear_models.prediction_error import STRUCTURES
 from residuum.identification.linear_models.prediction_error.regularised_regression import PENALTIES
+from residuum.identification.linear_models.validation import (
+    LEVEL,
+    BlockBootstrap,
+    ModelErrorModel,
+    ResidualCheck,
+    ResidualTest,
+    block_bootstrap,
+    residual_check,
+)
 from residuum.identification.record import Record
 from residuum.library.identification_methods import NOISE_MODELLED, identified_by
 from residuum.library.questions.identify import LAGS, Identify
 
 _POOR_FIT = 50.0
+"""Fit on data kept aside [%] below which a model that nothing is said against gets a remark."""
 _MAY_BE_UNSTABLE = ("arx", "armax", "ar")
 """Methods whose poles may lie outside the unit circle, and whose predictor is stable there."""
 _EXCITES = "the input is persistently exciting"
 _NOT_OVER = 0.05
+"""Share of the static gain that the model may put later than the records go on."""
 _MOST_REFITTED, _MOST_JUDGED, _BEFORE = 20_000, 8_000, 1000
+"""Samples that the fit of the first part sees, that are judged after it, and of the past at least
+that the judged ones are simulated from.
+"""
 _FEW = 6
 """Directions that a record has to tell for a response without an order to be more than its
 prior.
@@ -137,6 +152,7 @@ def assumptions(
     `plant` is what `plant_tests` found before; where the model's delay differs from the one that
     was assumed they are done again.
     """
+    # A plant that answers within the sample is tested from lag 0 on, any other from lag 1.
     if plant.first_lag != min(model.delay, 1):
         plant = plant_tests(estimation, asked, model.delay)
     integrator, feedback, dead, unstable = (
@@ -162,15 +178,21 @@ def assumptions(
     )
 
 
-def told(
+def with_remarks(
     model: IdentifiedModel, method: str, tests: Assumptions, estimation: Sequence[Record]
 ) -> IdentifiedModel:
     """The model with what was found: as warnings, and as unfit where no controller may be promised
     for it.
     """
     untold = _untold(model, tests, estimation)
-    unfit = [*_unstable(model, tests), *untold, *_unfit(model, method, tests)]
+    unfit = [
+        *_unstable(model, tests),
+        *untold,
+        *_integrating(model, tests),
+        *_biased(method, tests),
+    ]
     remarks = _remarks(method, tests, trusted=not unfit)
+    # Where the excitation is told here, with its order, the model's own warning of it goes.
     own = [
         text
         for text in model.warnings
@@ -215,7 +237,8 @@ def _untold(model: IdentifiedModel, tests: Assumptions, estimation: Sequence[Rec
             f" {excitation.order} number{'s' * (excitation.order != 1)} of the response{gain}, and"
             " the rest is the model's structure; record steps or random moves, fast and slow ones"
         )
-    if (left := _beyond_the_record(model, estimation)) > _NOT_OVER:
+    left = _beyond_the_record(model, estimation)
+    if left > _NOT_OVER:
         says.append(
             f"the records end before the response to their first move does: {100 * left:.0f} % of"
             " the static gain is extrapolated by the model; record on until the output rests"
@@ -234,6 +257,7 @@ def _beyond_the_record(model: IdentifiedModel, records: Sequence[Record]) -> flo
             max(longest, record.n - 1 - int(moved[0]) - model.delay) if moved.size else longest
         )
     total = float(model.impulse_response.sum())
+    # Without a finite static gain there is no share of it.
     if model.diverges or model.integrates or total == 0:
         return 0.0
     return abs(float(model.impulse_response[max(longest, 0) :].sum()) / total)
@@ -241,28 +265,34 @@ def _beyond_the_record(model: IdentifiedModel, records: Sequence[Record]) -> flo
 
 def _needed(model: IdentifiedModel, method: str) -> int:
     """To which order an input has to excite for the model's parameters to be told."""
+    # As `orders` are written in the model's provenance: na = 2, nb = 3 …
     orders = dict(re.findall(r"(n[a-f]) = (\d+)", str(model.provenance.get("orders", ""))))
     if method in STRUCTURES and orders:
         return int(orders.get("nb", 0)) + max(int(orders.get("na", 0)), int(orders.get("nf", 0)))
     return _FEW
 
 
-def _unfit(model: IdentifiedModel, method: str, tests: Assumptions) -> list[str]:
-    says = []
-    unstable = tests.unstable is not None and tests.unstable.unstable
-    if unstable:
-        pass  # A(1) says nothing where a root lies outside
-    elif model.integrates:
-        says.append(
+def _integrating(model: IdentifiedModel, tests: Assumptions) -> list[str]:
+    """That model or plant integrates."""
+    if tests.unstable is not None and tests.unstable.unstable:
+        return []  # A(1) says nothing where a root lies outside
+    if model.integrates:
+        return [
             "the model integrates, and controllers are designed for stable plants;"
             f" {_ANOTHER_RECORD}"
-        )
-    elif tests.integrator is not None and tests.integrator.integrates:
-        says.append(
+        ]
+    if tests.integrator is not None and tests.integrator.integrates:
+        return [
             "the plant integrates, or settles slower than the record shows, so that its static"
             " gain has no bound; identify it with `integrator`, method bj and no `delay`, and"
             f" {_ANOTHER_RECORD}"
-        )
+        ]
+    return []
+
+
+def _biased(method: str, tests: Assumptions) -> list[str]:
+    """What makes the response another one than the plant's: feedback, a late input, a poor fit."""
+    says = []
     if tests.feedback is not None and tests.feedback.present and method not in NOISE_MODELLED:
         says.append(
             f"the input answers the output's noise (feedback, {100 * tests.feedback.share:.2g} % of"
@@ -275,6 +305,7 @@ def _unfit(model: IdentifiedModel, method: str, tests: Assumptions) -> list[str]
             f" lag; identify with method bj and no `delay` (or {tests.dead_time})"
         )
     worst = tests.worst
+    # An input that acts late makes the fit poor by itself, and is said already.
     if worst is not None and any(part.fails for part in tests.aside) and not tests.late:
         says.append(
             f"on data kept aside the fit is {worst.fit_percent:.0f} %, and the input explains what"
@@ -325,6 +356,7 @@ def plant_tests(records: Sequence[Record], asked: Identify, delay: int | None) -
         regression = long_autoregression(
             records, asked.input_name, asked.output_name, first_lag=first_lag
         )
+        # A dead time beyond the usual reach is looked for once more with a longer one.
         dead = dead_time(regression)
         if dead is None:
             longer = long_autoregression(
@@ -363,6 +395,8 @@ def parts_kept_aside(
     cuts = [record.n for record in estimation]
     judged = model
     if cuts == [record.n for record in whole]:
+        # No record has a split note: a fit of the first part stands for the model, which has seen
+        # all.
         cuts = [round((1 - KEPT_ASIDE) * n) for n in cuts]
         first = [
             record.window(max(0, cut - _MOST_REFITTED), cut)
@@ -415,3 +449,149 @@ def _input_lags(model: IdentifiedModel, asked: Identify) -> int:
     if asked.method not in STRUCTURES:
         return model.order
     return int(re.findall(r"nb = (\d+)", str(model.provenance["orders"]))[0])
+
+
+# What residual tests and the bootstrap say of a model, where they are asked for.
+
+
+@dataclass(frozen=True, eq=False)
+class ModelCheck:
+    """The tests of every part kept aside, and the .632+ estimate of the error on new data.
+
+    Attributes
+    ----------
+    parts : tuple of ResidualCheck
+    bootstrap : BlockBootstrap or None
+    reasons : tuple of str
+        Why something is missing.
+    output_unit : str
+    """
+
+    parts: tuple[ResidualCheck, ...]
+    bootstrap: BlockBootstrap | None
+    reasons: tuple[str, ...]
+    output_unit: str
+
+    @property
+    def passed(self) -> bool:
+        """Whether no test speaks against the model."""
+        return all(part.passed for part in self.parts)
+
+    def to_dict(self) -> dict[str, Any]:
+        """As JSON."""
+        return {
+            "level": LEVEL,
+            "passed": self.passed,
+            "parts": [_part_json(part) for part in self.parts],
+            "bootstrap": None if self.bootstrap is None else asdict(self.bootstrap),
+            "reasons": list(self.reasons),
+        }
+
+    def lines(self) -> list[str]:
+        """As lines of the report."""
+        says = [line for part in self.parts for line in _part_lines(part)]
+        if self.bootstrap is not None:
+            unit = f" {self.output_unit}" if self.output_unit else ""
+            sizes = [
+                math.sqrt(value)
+                for value in (
+                    self.bootstrap.error,
+                    self.bootstrap.apparent,
+                    self.bootstrap.out_of_bag,
+                )
+            ]
+            says.append(
+                f"  new data          error {sizes[0]:.4g}{unit} RMS by the .632+ bootstrap of"
+                f" {self.bootstrap.blocks} blocks ({sizes[1]:.4g} on its own data, {sizes[2]:.4g}"
+                " on blocks left out)"
+            )
+        return says + [f"  not checked       {reason}" for reason in self.reasons]
+
+
+def model_check(
+    model: IdentifiedModel, asked: Identify, parts: Sequence[Part], records: Sequence[Record]
+) -> ModelCheck:
+    """Check a model on the parts that it has not seen, and on blocks of `records`, which it was
+    identified from.
+    """
+    checks, reasons = (
+        [],
+        (
+            []
+            if parts
+            else ["residuals: nothing could be kept aside; record longer, or take a smaller order"]
+        ),
+    )
+    for part in parts:
+        try:
+            checks.append(residual_check(part.model, part.record, part.first))
+        except BadInput as error:
+            reasons.append(f"residuals: {error}")
+    bootstrap = None
+    try:
+        bootstrap = block_bootstrap(
+            lambda blocks: identified_again(model, blocks, asked), model, records
+        )
+    except BadInput as error:
+        reasons.append(str(error))
+    return ModelCheck(tuple(checks), bootstrap, tuple(reasons), model.output_unit)
+
+
+def _part_json(part: ResidualCheck) -> dict[str, Any]:
+    return {
+        "samples": part.samples,
+        "passed": part.passed,
+        "whiteness": _test_json(part.whiteness),
+        "input_correlation": _test_json(part.input),
+        "model_error": _error_json(part.model_error),
+    }
+
+
+def _test_json(test: ResidualTest | None) -> dict[str, Any] | None:
+    if test is None:
+        return None
+    return {
+        "lags": test.lags,
+        "correlation": test.correlation,
+        "band": test.band,
+        "statistic": test.statistic,
+        "degrees_of_freedom": test.degrees_of_freedom,
+        "p_value": test.p_value,
+        "passed": test.passed,
+    }
+
+
+def _error_json(error: ModelErrorModel | None) -> dict[str, Any] | None:
+    if error is None:
+        return None
+    return {
+        "falsified": error.falsified,
+        "falsified_at": error.falsified_at,
+        "frequencies": len(error.omega),
+    }
+
+
+def _part_lines(part: ResidualCheck) -> list[str]:
+    white = "needs a noise model" if part.whiteness is None else _verdict(part.whiteness)
+    free = "too short to tell" if part.input is None else _verdict(part.input)
+    lines = [
+        f"  residuals         white: {white}; free of the input: {free}; {part.samples} samples"
+        " kept aside"
+    ]
+    if part.model_error is not None:
+        error = part.model_error
+        where = f"falsified at {len(error.falsified_at)} of {len(error.omega)} frequencies"
+        if error.falsified:
+            where += f", {error.falsified_at[0]:.3g} to {error.falsified_at[-1]:.3g} rad/s"
+        lines.append(
+            f"  model error       {where if error.falsified else 'not falsified at any frequency'}"
+        )
+    return lines
+
+
+def _verdict(test: ResidualTest) -> str:
+    answer = "yes" if test.passed else "no"
+    return (
+        f"{answer} (p {test.p_value:.2g}, level {test.level:g}, lags {test.lags[0]} to"
+        f" {test.lags[-1]})"
+    )

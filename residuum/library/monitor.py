@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
@@ -15,13 +16,15 @@ from sklearn.exceptions import NotFittedError
 
 from residuum.diagnosis.diagnosers import DIAGNOSERS, diagnoser_class, untrained
 from residuum.diagnosis.diagnosers.base import Diagnoser
+from residuum.diagnosis.diagnosers.robust_residual import RobustResidual
 from residuum.diagnosis.finding import Finding as Judged
 from residuum.diagnosis.finding import Verdict
-from residuum.identification.errors import BadInput
+from residuum.diagnosis.residuals.generators.physical_prediction import PREDICTION, with_prediction
+from residuum.identification.errors import BadInput, BadRecord
+from residuum.identification.physics import PhysicalModel
 from residuum.identification.record import Record as MeasuredRecord
 from residuum.library.finding import Finding
 from residuum.library.model import Mapped, Model, Records
-from residuum.library.physical_residual import PhysicalResidual
 from residuum.library.reading import as_records
 from residuum.library.result import data_frame
 
@@ -30,6 +33,7 @@ if TYPE_CHECKING:
 
 MODEL_BASED = "model-based"
 """The diagnoser that a model asks for, where there is one."""
+_WORST_FIRST = (Verdict.FAULTY, Verdict.NOT_ASSESSABLE, Verdict.HEALTHY)
 
 
 class NotFitted(BadInput, NotFittedError):
@@ -137,8 +141,10 @@ class Monitor(OutlierMixin, BaseEstimator):
         Examples
         --------
         >>> import residuum as rs
-        >>> monitor = rs.monitor("robust-residual").fit([rs.simulate("process-plant", seed=seed) for seed in (1, 2)])
-        >>> windows = [rs.simulate("process-plant", seed=3), rs.simulate("process-plant", faults={"sensor-offset": None}, seed=4)]
+        >>> healthy = [rs.simulate("process-plant", seed=seed) for seed in (1, 2)]
+        >>> monitor = rs.monitor("robust-residual").fit(healthy)
+        >>> faulty = rs.simulate("process-plant", faults={"sensor-offset": None}, seed=4)
+        >>> windows = [rs.simulate("process-plant", seed=3), faulty]
         >>> monitor.score(windows[1]).fault_class
         'sensor-offset'
         """
@@ -160,8 +166,10 @@ class Monitor(OutlierMixin, BaseEstimator):
         Examples
         --------
         >>> import residuum as rs
-        >>> monitor = rs.monitor("robust-residual").fit([rs.simulate("process-plant", seed=seed) for seed in (1, 2)])
-        >>> windows = [rs.simulate("process-plant", seed=3), rs.simulate("process-plant", faults={"sensor-offset": None}, seed=4)]
+        >>> healthy = [rs.simulate("process-plant", seed=seed) for seed in (1, 2)]
+        >>> monitor = rs.monitor("robust-residual").fit(healthy)
+        >>> faulty = rs.simulate("process-plant", faults={"sensor-offset": None}, seed=4)
+        >>> windows = [rs.simulate("process-plant", seed=3), faulty]
         >>> [finding.verdict for finding in monitor.findings(windows)]
         ['healthy', 'faulty']
         """
@@ -186,8 +194,10 @@ class Monitor(OutlierMixin, BaseEstimator):
         See `Monitor`.
 
         >>> import residuum as rs
-        >>> monitor = rs.monitor("robust-residual").fit([rs.simulate("process-plant", seed=seed) for seed in (1, 2)])
-        >>> windows = [rs.simulate("process-plant", seed=3), rs.simulate("process-plant", faults={"sensor-offset": None}, seed=4)]
+        >>> healthy = [rs.simulate("process-plant", seed=seed) for seed in (1, 2)]
+        >>> monitor = rs.monitor("robust-residual").fit(healthy)
+        >>> faulty = rs.simulate("process-plant", faults={"sensor-offset": None}, seed=4)
+        >>> windows = [rs.simulate("process-plant", seed=3), faulty]
         >>> monitor.predict(windows).tolist()
         [1, -1]
         """
@@ -215,8 +225,10 @@ class Monitor(OutlierMixin, BaseEstimator):
         Examples
         --------
         >>> import residuum as rs
-        >>> monitor = rs.monitor("robust-residual").fit([rs.simulate("process-plant", seed=seed) for seed in (1, 2)])
-        >>> windows = [rs.simulate("process-plant", seed=3), rs.simulate("process-plant", faults={"sensor-offset": None}, seed=4)]
+        >>> healthy = [rs.simulate("process-plant", seed=seed) for seed in (1, 2)]
+        >>> monitor = rs.monitor("robust-residual").fit(healthy)
+        >>> faulty = rs.simulate("process-plant", faults={"sensor-offset": None}, seed=4)
+        >>> windows = [rs.simulate("process-plant", seed=3), faulty]
         >>> (monitor.score_samples(windows) < -1).tolist()
         [False, True]
         """
@@ -238,8 +250,10 @@ class Monitor(OutlierMixin, BaseEstimator):
         Examples
         --------
         >>> import residuum as rs
-        >>> monitor = rs.monitor("robust-residual").fit([rs.simulate("process-plant", seed=seed) for seed in (1, 2)])
-        >>> windows = [rs.simulate("process-plant", seed=3), rs.simulate("process-plant", faults={"sensor-offset": None}, seed=4)]
+        >>> healthy = [rs.simulate("process-plant", seed=seed) for seed in (1, 2)]
+        >>> monitor = rs.monitor("robust-residual").fit(healthy)
+        >>> faulty = rs.simulate("process-plant", faults={"sensor-offset": None}, seed=4)
+        >>> windows = [rs.simulate("process-plant", seed=3), faulty]
         >>> (monitor.decision_function(windows) < 0).tolist()
         [False, True]
         """
@@ -264,8 +278,10 @@ class Monitor(OutlierMixin, BaseEstimator):
         Examples
         --------
         >>> import residuum as rs
-        >>> monitor = rs.monitor("robust-residual").fit([rs.simulate("process-plant", seed=seed) for seed in (1, 2)])
-        >>> windows = [rs.simulate("process-plant", seed=3), rs.simulate("process-plant", faults={"sensor-offset": None}, seed=4)]
+        >>> healthy = [rs.simulate("process-plant", seed=seed) for seed in (1, 2)]
+        >>> monitor = rs.monitor("robust-residual").fit(healthy)
+        >>> faulty = rs.simulate("process-plant", faults={"sensor-offset": None}, seed=4)
+        >>> windows = [rs.simulate("process-plant", seed=3), faulty]
         >>> len(monitor.indicators(windows))
         2
         """
@@ -401,9 +417,79 @@ def load_monitor(diagnoser: str, path: str | PathLike[str]) -> Monitor:
 def _largest(finding: Judged) -> float:
     if finding.verdict is Verdict.NOT_ASSESSABLE:
         return math.nan
+    # A threshold of 0 has no multiple.
     over = [
         v / finding.thresholds[n]
         for n, v in finding.indicators.items()
         if finding.thresholds.get(n, 0.0) > 0.0
     ]
     return max(over, default=math.nan)
+
+
+class PhysicalResidual:
+    """One robust residual an output, from the model's prediction to the measurement; the worst
+    finding is the answer.
+
+    Parameters
+    ----------
+    model : PhysicalModel
+    settings
+        Of `RobustResidual`: `order`, `gamma`, `false_alarms_per_day`.
+    """
+
+    name = "physical-residual"
+
+    def __init__(self, model: PhysicalModel, **settings: Any) -> None:
+        self.model, self.settings = model, settings
+        self._watches: dict[str, RobustResidual] = {}
+
+    def fit(self, records: Sequence[MeasuredRecord], labels: Sequence[str] | None = None) -> Self:
+        """Learn each output's residual from healthy records.
+
+        Raises
+        ------
+        BadRecord
+            No output of the model is in every record.
+        """
+        measured = [
+            name for name in self.model.outputs if all(name in record.names for record in records)
+        ]
+        if not measured:
+            raise BadRecord(
+                f"model {self.model.name!r}: no output of it is in every record; it has"
+                f" {', '.join(self.model.outputs)}"
+            )
+        for name in measured:
+            watch = RobustResidual(input=PREDICTION, output=name, **self.settings)
+            self._watches[name] = watch.fit(
+                [self._beside(record, name) for record in records], labels
+            )
+        return self
+
+    def score(self, record: MeasuredRecord) -> Judged:
+        """Judge one window by every output; indicators are named `glr@output`."""
+        findings = {
+            name: watch.score(self._beside(record, name)) for name, watch in self._watches.items()
+        }
+        # Of equal verdicts the one whose residual is largest.
+        name, worst = min(findings.items(), key=lambda item: _order(item[1]))
+        return replace(
+            worst,
+            diagnoser=self.name,
+            indicators=_joined({n: f.indicators for n, f in findings.items()}),
+            thresholds=_joined({n: f.thresholds for n, f in findings.items()}),
+            units=_joined({n: f.units for n, f in findings.items()}),
+            evidence=dict(worst.evidence) | {"output": name},
+            reason=None if worst.reason is None else f"{name}: {worst.reason}",
+        )
+
+    def _beside(self, record: MeasuredRecord, output: str) -> MeasuredRecord:
+        return with_prediction(self.model, record, output)
+
+
+def _order(finding: Judged) -> tuple[int, float]:
+    return _WORST_FIRST.index(finding.verdict), -finding.indicators.get("glr", 0.0)
+
+
+def _joined(parts: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
+    return {f"{key}@{name}": value for name, part in parts.items() for key, value in part.items()}

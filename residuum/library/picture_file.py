@@ -1,18 +1,29 @@
-"""A picture as a file to be sent: an interactive HTML page that needs nothing else, or an image."""
+"""A picture as a file to be sent: an interactive HTML page that needs nothing else, or a PNG image
+by Matplotlib, for Plotly itself needs a whole browser for an image.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from html import escape
+from io import BytesIO
 from pathlib import Path
+from typing import Any
+
+import numpy as np
 
 from residuum.identification.errors import BadInput
-from residuum.library.picture import Picture
-from residuum.library.plotly_figure import figure
-from residuum.library.png import need_matplotlib, png
+from residuum.library.optional_package import need
+from residuum.library.picture import Bars, Curve, Panel, Picture
+from residuum.library.plotly_figure import COLOURS, MOST_POINTS, figure
 from residuum.library.whole_file import write_whole
 from residuum.nearest_names import known_names
 
 ENDINGS = (".png", ".html")
+_WIDTH, _HEIGHT, _PER_BAR = 9.0, 2.6, 0.28
+"""Of an image, of a panel in it, and what each bar adds to that [inch]."""
+_DOTS = 120
+"""Dots an inch."""
 
 
 def check_picture_file(path: Path) -> None:
@@ -33,7 +44,7 @@ def check_picture_file(path: Path) -> None:
     if ending not in ENDINGS:
         raise BadInput(f"{path}: ending {ending!r} is no picture; {known_names(ending, ENDINGS)}")
     if ending == ".png":
-        need_matplotlib()
+        _need_matplotlib()
 
 
 def write_picture(picture: Picture, path: Path, title: str) -> None:
@@ -47,9 +58,73 @@ def write_picture(picture: Picture, path: Path, title: str) -> None:
     """
     check_picture_file(path)
     if path.suffix.lower() == ".png":
-        write_whole(path, png(picture))
+        write_whole(path, _png(picture))
         return
     drawn = figure(picture)
     drawn.update_layout(title={"text": escape(title)}, margin={"t": 90, "b": 50})
     page: str = drawn.to_html(full_html=True, include_plotlyjs=True)
     write_whole(path, page.replace("<head>", f"<head><title>{escape(title)}</title>", 1))
+
+
+def _png(picture: Picture) -> bytes:
+    """The picture as a PNG file's content.
+
+    Raises
+    ------
+    MissingPackage
+        Matplotlib is not installed.
+    """
+    figure = _need_matplotlib().Figure(
+        figsize=(_WIDTH, sum(map(_height, picture.panels))), dpi=_DOTS, layout="constrained"
+    )
+    rows = figure.subplots(
+        len(picture.panels),
+        1,
+        squeeze=False,
+        height_ratios=[_height(panel) for panel in picture.panels],
+    )
+    for axes, panel in zip(rows[:, 0], picture.panels, strict=True):
+        axes.set_title(panel.title, loc="left", fontsize=10)
+        if isinstance(panel.content, Bars):
+            _bars(axes, panel.content, panel.y_label)
+        else:
+            _curves(axes, panel, panel.content)
+    content = BytesIO()
+    figure.savefig(content, format="png")
+    return content.getvalue()
+
+
+def _need_matplotlib() -> Any:
+    """Matplotlib's figures, without a window or a state of their own; MissingPackage says how to
+    get them.
+    """
+    return need("matplotlib.figure", "a PNG image", extra="plots")
+
+
+def _height(panel: Panel) -> float:
+    return (
+        max(_HEIGHT, 1.0 + _PER_BAR * len(panel.content.values))
+        if isinstance(panel.content, Bars)
+        else _HEIGHT
+    )
+
+
+def _bars(axes: Any, bars: Bars, label: str) -> None:
+    places = np.arange(len(bars.values))
+    drawn = axes.barh(places, list(bars.values), color=COLOURS[0])
+    axes.set_yticks(places, list(bars.names), fontsize=8)
+    axes.invert_yaxis()
+    axes.set_xlabel(label)
+    if bars.texts:
+        axes.bar_label(drawn, list(bars.texts), fontsize=8, padding=2)
+
+
+def _curves(axes: Any, panel: Panel, curves: Sequence[Curve]) -> None:
+    for number, whole in enumerate(curves):
+        curve = whole.reduced(MOST_POINTS)
+        colour = COLOURS[number % len(COLOURS)]
+        axes.plot(curve.x, curve.y, color=colour, linewidth=1.0, label=curve.name)
+        if curve.low is not None and curve.high is not None:
+            axes.fill_between(curve.x, curve.low, curve.high, color=colour, alpha=0.2, linewidth=0)
+    axes.set(xlabel=panel.x_label, ylabel=panel.y_label, xscale=panel.x_scale)
+    axes.legend(fontsize=8, loc="best")

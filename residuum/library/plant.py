@@ -31,17 +31,18 @@ from residuum.library.answers.identification import (
 from residuum.library.identification_methods import identified_by, with_uncertainty
 from residuum.library.model_assumptions import (
     Assumptions,
+    ModelCheck,
     assumptions,
     check_stable,
+    model_check,
     parts_kept_aside,
     plant_tests,
+    with_remarks,
 )
-from residuum.library.model_assumptions import told as told_assumptions
-from residuum.library.model_check import ModelCheck, model_check
 from residuum.library.optional_package import need
 from residuum.library.picture import Curve, Panel, Picture, axis
 from residuum.library.plotly_figure import figure
-from residuum.library.progress import Progress, Tell, told
+from residuum.library.progress import Progress, Tell, progress_shown
 from residuum.library.questions import asks
 from residuum.library.questions.identify import LAGS, Identify
 from residuum.library.reading import as_records
@@ -52,6 +53,19 @@ from residuum.library.whole_file import write_whole
 
 _BAND = 1.96
 """Standard deviations of a 95 % band."""
+
+
+def _gain_std(path: IdentifiedModel) -> float:
+    """Standard deviation of the static gain; a variance may be rounded below 0."""
+    return float(np.sqrt(max(path.frequency_covariance(0.0)[0, 0, 0], 0.0)))
+
+
+def _relative_gains(gains: npt.NDArray[np.float64]) -> npt.NDArray[np.float64] | None:
+    """The relative gain array Λ = G ∘ (G⁻¹)ᵀ of a square plant (Bristol, 1966); None where there is
+    no inverse.
+    """
+    invertible = gains.shape[0] == gains.shape[1] and abs(np.linalg.det(gains)) > 0
+    return gains * np.linalg.inv(gains).T if invertible else None
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -70,7 +84,8 @@ class MultivariablePlant(Result):
     >>> import numpy as np, residuum as rs
     >>> u, w = np.random.default_rng(0).normal(size=(2, 300))
     >>> y = np.r_[0.0, 0.5 * u[:-1] + 0.2 * w[:-1]]
-    >>> record = rs.from_arrays({"u": u, "w": w, "y": y}, units={"u": "V", "w": "V", "y": "K"}, sample_time=1.0)
+    >>> units = {"u": "V", "w": "V", "y": "K"}
+    >>> record = rs.from_arrays({"u": u, "w": w, "y": y}, units=units, sample_time=1.0)
     >>> plant = rs.identify(record, input=["u", "w"], output="y", order=5)
     >>> [[round(gain, 2) for gain in row] for row in plant.to_dict()["static_gain"]]
     [[0.5, 0.2]]
@@ -98,27 +113,20 @@ class MultivariablePlant(Result):
         array of a square plant.
         """
         model = self.identified
+        rows = model.models
+        first_path = rows[0][0]
         gains = model.frequency_response([0.0])[0].real
-        std = [
-            [float(np.sqrt(max(path.frequency_covariance(0.0)[0, 0, 0], 0.0))) for path in row]
-            for row in model.models
-        ]
-        square = gains.shape[0] == gains.shape[1] and abs(np.linalg.det(gains)) > 0
         return {
             "method": "kernel",
-            "inputs": [
-                {"name": path.input_name, "unit": path.input_unit} for path in model.models[0]
-            ],
-            "outputs": [
-                {"name": row[0].output_name, "unit": row[0].output_unit} for row in model.models
-            ],
-            "sample_time": model.models[0][0].sample_time,
-            "order": model.models[0][0].order,
+            "inputs": [{"name": path.input_name, "unit": path.input_unit} for path in rows[0]],
+            "outputs": [{"name": row[0].output_name, "unit": row[0].output_unit} for row in rows],
+            "sample_time": first_path.sample_time,
+            "order": first_path.order,
             "static_gain": gains,
-            "static_gain_std": std,
-            "relative_gains": gains * np.linalg.inv(gains).T if square else None,
-            "noise_variance": [row[0].noise_variance for row in model.models],
-            "impulse_responses": [[path.impulse_response for path in row] for row in model.models],
+            "static_gain_std": [[_gain_std(path) for path in row] for row in rows],
+            "relative_gains": _relative_gains(gains),
+            "noise_variance": [row[0].noise_variance for row in rows],
+            "impulse_responses": [[path.impulse_response for path in row] for row in rows],
             "fit_percent": [_fits(model, record) for record in self.estimation],
             "held_out_fit_percent": [_fits(model, record) for record in self.held_out],
             "file": None,
@@ -135,9 +143,8 @@ class MultivariablePlant(Result):
         result : dict
             As `to_dict` gives it.
         """
-        inputs, outputs = (
-            [channel["name"] for channel in result[name]] for name in ("inputs", "outputs")
-        )
+        inputs = [channel["name"] for channel in result["inputs"]]
+        outputs = [channel["name"] for channel in result["outputs"]]
         lines = [
             f"kernel: {', '.join(inputs)} → {', '.join(outputs)}, {result['order']} coefficients a"
             " path"
@@ -203,9 +210,15 @@ def multivariable_plant(
 ) -> MultivariablePlant:
     """One kernel model of every path."""
     model = identify_multivariable(
-        estimation, asked.inputs, asked.outputs, kernel=asked.kernel, order=LAGS if asked.order is None else asked.order,
-        delay=1 if asked.delay is None else asked.delay, noise_variance=asked.noise_variance, offset=asked.offset,
-    )  # fmt: skip
+        estimation,
+        asked.inputs,
+        asked.outputs,
+        kernel=asked.kernel,
+        order=LAGS if asked.order is None else asked.order,
+        delay=1 if asked.delay is None else asked.delay,
+        noise_variance=asked.noise_variance,
+        offset=asked.offset,
+    )
     return MultivariablePlant(model, tuple(estimation), tuple(held_out))
 
 
@@ -229,6 +242,7 @@ if TYPE_CHECKING:
 
 """Standard deviations of a 95 % band."""
 _FREQUENCIES = 300
+"""Frequencies of a response that is drawn."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -292,7 +306,8 @@ class Plant(Result):
         Examples
         --------
         >>> import residuum as rs
-        >>> plant = rs.identify(rs.simulate("process-plant", seed=1), input="u", output="y", order=40)
+        >>> record = rs.simulate("process-plant", seed=1)
+        >>> plant = rs.identify(record, input="u", output="y", order=40)
         >>> plant.frequency_response([0.1, 1.0]).shape
         (2,)
         """
@@ -315,7 +330,8 @@ class Plant(Result):
         Examples
         --------
         >>> import residuum as rs
-        >>> plant = rs.identify(rs.simulate("process-plant", seed=1), input="u", output="y", order=40)
+        >>> record = rs.simulate("process-plant", seed=1)
+        >>> plant = rs.identify(record, input="u", output="y", order=40)
         >>> plant.sample(5).shape
         (5, 40)
         """
@@ -332,7 +348,8 @@ class Plant(Result):
         Examples
         --------
         >>> import residuum as rs
-        >>> plant = rs.identify(rs.simulate("process-plant", seed=1), input="u", output="y", order=40)
+        >>> record = rs.simulate("process-plant", seed=1)
+        >>> plant = rs.identify(record, input="u", output="y", order=40)
         >>> type(plant.to_control()).__name__
         'TransferFunction'
         """
@@ -356,7 +373,8 @@ class Plant(Result):
         See `load_plant`.
 
         >>> import residuum as rs
-        >>> plant = rs.identify(rs.simulate("process-plant", seed=1), input="u", output="y", order=40)
+        >>> record = rs.simulate("process-plant", seed=1)
+        >>> plant = rs.identify(record, input="u", output="y", order=40)
         >>> plant.save("/no/such/folder/plant.json")  # doctest: +ELLIPSIS
         Traceback (most recent call last):
             ...
@@ -374,7 +392,8 @@ class Plant(Result):
         Examples
         --------
         >>> import residuum as rs
-        >>> plant = rs.identify(rs.simulate("process-plant", seed=1), input="u", output="y", order=40)
+        >>> record = rs.simulate("process-plant", seed=1)
+        >>> plant = rs.identify(record, input="u", output="y", order=40)
         >>> plant.text().startswith('{"format"')
         True
         """
@@ -400,7 +419,8 @@ class Plant(Result):
         Examples
         --------
         >>> import residuum as rs
-        >>> plant = rs.identify(rs.simulate("process-plant", seed=1), input="u", output="y", order=40)
+        >>> record = rs.simulate("process-plant", seed=1)
+        >>> plant = rs.identify(record, input="u", output="y", order=40)
         >>> [axis.title.text for axis in plant.bode([0.1, 1.0]).select_yaxes()]
         ['magnitude [dB]', 'phase [°]']
         """
@@ -464,7 +484,8 @@ class Plant(Result):
         Examples
         --------
         >>> import residuum as rs
-        >>> plant = rs.identify(rs.simulate("process-plant", seed=1), input="u", output="y", order=40)
+        >>> record = rs.simulate("process-plant", seed=1)
+        >>> plant = rs.identify(record, input="u", output="y", order=40)
         >>> len(plant.step(10.0).data) > 0
         True
         """
@@ -475,6 +496,7 @@ class Plant(Result):
             else max(2, round(duration / model.sample_time))
         )
         u = np.ones(n)
+        # The response of the input alone: a level of the output is no part of it.
         y, spread = model.simulate(u) - model.offset, _BAND * model.simulation_std(u)
         time = model.sample_time * np.arange(n)
         title = f"step response, {model.input_name} → {model.output_name}"
@@ -510,7 +532,8 @@ class Plant(Result):
         Examples
         --------
         >>> import residuum as rs
-        >>> plant = rs.identify(rs.simulate("process-plant", seed=1), input="u", output="y", order=40)
+        >>> record = rs.simulate("process-plant", seed=1)
+        >>> plant = rs.identify(record, input="u", output="y", order=40)
         >>> plant.report(plant.to_dict()) == str(plant)
         True
         """
@@ -565,12 +588,13 @@ def identify(
     Examples
     --------
     >>> import residuum as rs
-    >>> plant = rs.identify(rs.simulate("process-plant", seed=1), input="u", output="y", method="arx", order=2)
+    >>> record = rs.simulate("process-plant", seed=1)
+    >>> plant = rs.identify(record, input="u", output="y", method="arx", order=2)
     >>> plant.identified.is_parametric
     True
     """
     asked = Identify.of(given)
-    with told(progress) as tell:
+    with progress_shown(progress) as tell:
         return identified(as_records(records), asked, tell)
 
 
@@ -619,6 +643,7 @@ def identified(
     if asked.is_multivariable:
         return multivariable_plant(estimation, held_out, asked)
     plant = None
+    # Before the fit: a method whose models are stable only must not be tried on an unstable plant.
     if asked.input is not None:
         plant = plant_tests(estimation, asked, asked.delay)
         check_stable(asked.method, plant, estimation[0].sample_time)
@@ -626,6 +651,7 @@ def identified(
     if plant is None:
         return Plant(model, asked.method, estimation, held_out)
     tell(0.6, "testing what the model assumes")
+    # With a split note the model is judged on what it kept; without, a fit of the first part is.
     parts = parts_kept_aside(model, asked, estimation, records)
     assumed = assumptions(model, asked, estimation, parts, plant)
     check = None
@@ -634,7 +660,7 @@ def identified(
         check = model_check(model, asked, parts, estimation)
     tell(0.9, "simulating beside the records")
     return Plant(
-        told_assumptions(model, asked.method, assumed, estimation),
+        with_remarks(model, asked.method, assumed, estimation),
         asked.method,
         estimation,
         held_out,

@@ -18,17 +18,18 @@ watches.
 """
 
 _WIDTH = 78
+"""Characters of the line, which must not wrap: a terminal has 80."""
 
 
 @contextmanager
-def told(progress: Progress = None) -> Iterator[Tell]:
+def progress_shown(progress: Progress = None) -> Iterator[Tell]:
     """The function that long work tells how far it is; the line it shows is wiped at the end, and
     when interrupted.
 
     Examples
     --------
     >>> seen = []
-    >>> with told(lambda share, doing: seen.append((share, doing))) as tell:
+    >>> with progress_shown(lambda share, doing: seen.append((share, doing))) as tell:
     ...     tell(0.5, "half")
     >>> seen
     [(0.5, 'half')]

@@ -36,6 +36,7 @@ def as_frame(table: Any, where: str) -> pandas.DataFrame:
     """The DataFrame of a DataFrame, or of a Series with a name; BadRecord for anything else and for
     columns of one name.
     """
+    # By what it can do, not by its type: pandas is not imported to tell.
     if hasattr(table, "to_frame") and not hasattr(table, "columns"):
         if table.name is None:
             raise BadRecord(
@@ -47,7 +48,8 @@ def as_frame(table: Any, where: str) -> pandas.DataFrame:
             f"{where}: is {type(table).__name__}; must be a DataFrame, or make a record with"
             " rs.from_arrays({…})"
         )
-    if len(twice := table.columns[table.columns.duplicated()]):
+    twice = table.columns[table.columns.duplicated()]
+    if len(twice):
         raise BadRecord(
             f"{where}: column {twice[0]!r} stands twice; rename one, or keep the first:"
             " frame.loc[:, ~frame.columns.duplicated()]"
@@ -67,24 +69,27 @@ def heads(
     else:
         by_column = {column: unit_of_head(str(column)) for column in columns}
     names = [name for name, _ in by_column.values()]
-    if twice := [name for name in names if names.count(name) > 1]:
+    twice = [name for name in names if names.count(name) > 1]
+    if twice:
         raise BadRecord(f"{where}: columns share the name {twice[0]!r}; rename one")
     return by_column
 
 
 def _of_levels(columns: list[Any]) -> dict[Any, tuple[str, str]]:
     rows = {column: [str(part).strip() for part in column] for column in columns}
-    last = [parts[-1].strip("[]()") for parts in rows.values()]
-    filled = [unit for unit in last if unit and not unit.startswith("Unnamed")]
-    if filled and all(is_unit(unit_word(unit)) for unit in filled):
+    last_row = [parts[-1].strip("[]()") for parts in rows.values()]
+    units = _named(last_row)
+    # The last row is one of units where all of it are: one word that is none makes it names.
+    if units and all(is_unit(unit_word(unit)) for unit in units):
         return {
-            column: (".".join(_named(parts[:-1])), unit_word(unit) if unit in filled else "")
-            for (column, parts), unit in zip(rows.items(), last, strict=True)
+            column: (".".join(_named(parts[:-1])), unit_word(unit) if unit in units else "")
+            for (column, parts), unit in zip(rows.items(), last_row, strict=True)
         }
     return {column: unit_of_head(".".join(_named(parts))) for column, parts in rows.items()}
 
 
 def _named(parts: list[str]) -> list[str]:
+    """The heads that there are: pandas calls an empty one `Unnamed: …`."""
     return [part for part in parts if part and not part.startswith("Unnamed")]
 
 
@@ -141,16 +146,25 @@ _EPOCH = 1e11
 
 
 def seconds(
-    values: Any, where: str, *, unit: str = "", told: bool = False, near: str = "COLUMN"
+    values: Any, where: str, *, unit: str = "", is_time: bool = False, near: str = "COLUMN"
 ) -> npt.NDArray[np.float64]:
     """Instants or durations as seconds, shape (n,); instants count from the first one.
 
     `unit` is the unit of plain numbers (seconds where nothing is said). Whole numbers without one
-    count the rows as likely as they count seconds; they are taken where the caller has `told` that
-    they are the time. `near` is a column that may be it.
+    count the rows as likely as they count seconds; they are taken where the caller has said that
+    they are the time (`is_time`). `near` is a column that may be it.
 
     Raises BadRecord with what to do for anything that is no time.
     """
+    array = _array_of_times(values, where)
+    if array.dtype.kind in "mM":
+        # From the first one on, as whole nanoseconds: seconds since 1970 as a double would be
+        # rounded to some 0.2 µs.
+        return np.asarray((array - array[0]) / np.timedelta64(1, "ns") * 1e-9, dtype=float)
+    return _seconds_of_numbers(array, where, unit, is_time=is_time, near=near)
+
+
+def _array_of_times(values: Any, where: str) -> npt.NDArray[Any]:
     if getattr(values, "nlevels", 1) > 1:
         raise BadRecord(
             f"{where}: the index has {values.nlevels} levels; take one series, frame.xs(…) or"
@@ -158,9 +172,12 @@ def seconds(
         )
     if str(getattr(values, "dtype", "")).startswith("period"):
         values = getattr(values, "dt", values).to_timestamp()
-    array = _without_zone(values)
-    if array.dtype.kind in "mM":
-        return np.asarray((array - array[0]) / np.timedelta64(1, "ns") * 1e-9, dtype=float)
+    return _without_zone(values)
+
+
+def _seconds_of_numbers(
+    array: npt.NDArray[Any], where: str, unit: str, *, is_time: bool, near: str
+) -> npt.NDArray[np.float64]:
     if array.dtype.kind not in "iuf":
         raise BadRecord(
             f"{where}: the time does not hold numbers or instants ({str(array[0])[:30]!r}); make"
@@ -169,12 +186,15 @@ def seconds(
     factor = seconds_of(unit) if unit else 1.0
     if factor is None:
         raise BadRecord(f"{where}: the time is in {unit!r}, which is no unit of time")
-    if array.dtype.kind in "iu" and not unit and not told:
+    # Taken for seconds, the rows of a DataFrame as it is read from a file were one sample a second,
+    # whatever its column of times said.
+    if array.dtype.kind in "iu" and not unit and not is_time:
         raise BadRecord(
             f"{where}: the index counts ({array[0]}, {array[min(1, len(array) - 1)]}, …), which may"
             f" be rows and is not taken for seconds; say time={near!r}, sample_time=…, or make"
             " instants of it: pandas.to_datetime(frame.index, unit=…)"
         )
+    # Milliseconds since 1970 read as seconds would lie in the year 50 000, and pass for a time.
     if not unit and np.nanmax(np.abs(array), initial=0.0) > _EPOCH:
         how = "make instants of it with pandas.to_datetime(…, unit='ms')"
         raise BadRecord(f"{where}: the time {array[0]:.0f} is too large for seconds; {how}")
@@ -192,7 +212,8 @@ def unit_of_time(head: Any) -> str:
 def refuse_disorder(instants: npt.NDArray[np.float64], where: str) -> None:
     """BadRecord for instants that stand twice or go back, with what a table has for it."""
     steps = np.diff(instants)
-    if not (wrong := steps <= 0).any():
+    wrong = steps <= 0
+    if not wrong.any():
         return
     row = int(np.argmax(wrong)) + 1
     if steps[row - 1] == 0:
@@ -219,6 +240,7 @@ def _without_zone(values: Any) -> npt.NDArray[Any]:
         and all(hasattr(t, "isoformat") and hasattr(t, "hour") for t in array)
     ):
         return _of_datetimes(array)
+    # Objects may be numbers (Decimal, None), which a column of mixed types holds.
     return _plain(array) if array.dtype.kind == "O" else array
 
 
@@ -385,45 +407,48 @@ def from_arrays(
     Examples
     --------
     >>> import numpy as np, residuum as rs
-    >>> rs.from_arrays({"speed": np.zeros(100)}, units={"speed": "rad/s"}, sample_time=0.01).duration
+    >>> units = {"speed": "rad/s"}
+    >>> rs.from_arrays({"speed": np.zeros(100)}, units=units, sample_time=0.01).duration
     1.0
     >>> t = np.linspace(2.0, 3.0, 101)
     >>> rs.from_arrays({"speed": np.sin(t)}, units={"speed": "rad/s"}, time=t).t0
     2.0
     """
     given = dict(units or {})
-    if unknown := [name for name in given if name not in channels]:
+    unknown = [name for name in given if name not in channels]
+    if unknown:
         raise BadRecord(
             f"units: there is no channel {unknown[0]!r};"
             f" {known_names(unknown[0], channels, 'there are')}"
         )
     signals: Any = dict(channels)
     all_units = {name: given.get(name, "") for name in signals}
+    where = source or "arrays"
     if time is not None:
-        return _at_times(time, signals, all_units, resample, source or "arrays", sample_time, t0)
+        instants = seconds(np.asarray(time), where, is_time=True)
+        if t0 is not None:
+            raise BadRecord(f"{where}, t0: the times begin at {instants[0]:g} s; leave it out")
+        return _at_times(instants, signals, all_units, resample, where, sample_time)
     if sample_time is None:
         raise BadRecord(
-            f"{source or 'arrays'}: has no time; say sample_time=0.01 (seconds between samples), or"
+            f"{where}: has no time; say sample_time=0.01 (seconds between samples), or"
             " time=t (an array)"
         )
     return Record(signals, all_units, sample_time, t0=t0 or 0.0, source=source)
 
 
 def _at_times(
-    time: npt.ArrayLike,
+    instants: npt.NDArray[np.float64],
     signals: dict[str, Any],
     units: dict[str, str],
     resample: bool,
     where: str,
     sample_time: float | None,
-    t0: float | None,
 ) -> Record:
     """A record of arrays that were sampled at these times."""
-    instants = seconds(np.asarray(time), where, told=True)
-    if t0 is not None:
-        raise BadRecord(f"{where}, t0: the times begin at {instants[0]:g} s; leave it out")
     arrays = {name: np.asarray(values, dtype=float) for name, values in signals.items()}
-    if unlike := [name for name, values in arrays.items() if values.shape != instants.shape]:
+    unlike = [name for name, values in arrays.items() if values.shape != instants.shape]
+    if unlike:
         shapes = f"has shape {arrays[unlike[0]].shape}, time has {instants.shape}"
         raise BadRecord(f"{where}, channel {unlike[0]!r}: {shapes}; they must be alike")
     return _timed(instants, arrays, units, resample, where, sample_time)
@@ -476,7 +501,8 @@ def from_pandas(
     Examples
     --------
     >>> import pandas, residuum as rs
-    >>> frame = pandas.DataFrame({"u [V]": [0.0, 1.0, 1.0], "speed": [0.0, 2.0, 3.0]}, index=[0.0, 0.1, 0.2])
+    >>> columns = {"u [V]": [0.0, 1.0, 1.0], "speed": [0.0, 2.0, 3.0]}
+    >>> frame = pandas.DataFrame(columns, index=[0.0, 0.1, 0.2])
     >>> print(rs.from_pandas(frame, units={"speed": "rad/s"}))
     DataFrame: 3 samples of 0.1 s, 0.3 s; u [V], speed [rad/s]
     """
@@ -497,7 +523,7 @@ def from_pandas(
         return from_arrays(signals, units=all_units, sample_time=sample_time, source=where)
     taken, head = (frame.index, frame.index.name) if time is None else (frame[time], time)
     instants = seconds(
-        taken, where, unit=unit_of_time(head), told=time is not None, near=_near_time(by_column)
+        taken, where, unit=unit_of_time(head), is_time=time is not None, near=_near_time(by_column)
     )
     refuse_disorder(instants, where)
     return _timed(instants, signals, all_units, resample, where, sample_time)
@@ -531,7 +557,8 @@ def from_xarray(
     Examples
     --------
     >>> import xarray, residuum as rs
-    >>> speed = xarray.DataArray([0.0, 2.0, 3.0], coords={"time": [0.0, 0.1, 0.2]}, name="speed", attrs={"units": "rad/s"})
+    >>> speed = xarray.DataArray([0.0, 2.0, 3.0], coords={"time": [0.0, 0.1, 0.2]}, name="speed")
+    >>> speed.attrs["units"] = "rad/s"
     >>> rs.from_xarray(speed).units["speed"]
     'rad/s'
     """
@@ -541,7 +568,8 @@ def from_xarray(
         raise BadRecord(
             f"{where}: has no coordinate {dim!r}; {known_names(dim, dataset.coords, 'there are')}"
         )
-    if off_dim := [name for name, values in dataset.data_vars.items() if values.dims != (dim,)]:
+    off_dim = [name for name, values in dataset.data_vars.items() if values.dims != (dim,)]
+    if off_dim:
         raise BadRecord(
             f"{where}: variable {off_dim[0]!r} lies along {dataset[off_dim[0]].dims}; must be along"
             f" ({dim!r},) alone"
@@ -617,6 +645,7 @@ def _timed(
     if not signals:
         raise BadRecord(f"{where}: has no channel; at least one is needed")
     notes: list[str] = []
+    # Time and signals go through it together: a row that is moved or left out is so in all of them.
     step, columns = even_columns(
         np.stack([instants, *signals.values()]),
         where,

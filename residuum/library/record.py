@@ -73,7 +73,8 @@ class Record(MeasuredRecord):
         Examples
         --------
         >>> import residuum as rs
-        >>> rs.from_arrays({"u": [0.0, 1.0]}, units={"u": "V"}, sample_time=0.1).save("drive.dat")  # doctest: +ELLIPSIS
+        >>> record = rs.from_arrays({"u": [0.0, 1.0]}, units={"u": "V"}, sample_time=0.1)
+        >>> record.save("drive.dat")  # doctest: +ELLIPSIS
         Traceback (most recent call last):
             ...
         residuum.identification.errors.BadRecord: ...
@@ -102,6 +103,7 @@ class Record(MeasuredRecord):
         """
         pandas = need("pandas", "a DataFrame")
         frame = pandas.DataFrame(dict(self.channels), index=pandas.Index(self.time, name="time"))
+        # Where `rs.from_pandas` looks for them.
         frame.attrs["units"] = dict(self.units)
         return frame
 
@@ -131,7 +133,8 @@ class Record(MeasuredRecord):
         Examples
         --------
         >>> import residuum as rs
-        >>> len(rs.from_arrays({"u": [0.0, 1.0, 1.0]}, units={"u": "V"}, sample_time=0.1).picture().panels)
+        >>> record = rs.from_arrays({"u": [0.0, 1.0, 1.0]}, units={"u": "V"}, sample_time=0.1)
+        >>> len(record.picture().panels)
         1
         """
         time = self.time

@@ -23,6 +23,7 @@ from residuum.library.result import Result, Row
 
 Records = MeasuredRecord | str | PathLike[str] | Sequence[MeasuredRecord | str | PathLike[str]]
 _FREQUENCIES = 300
+"""Frequencies of the post-filter's gain that are drawn."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -57,12 +58,12 @@ class ResidualRun(Result):
         return run_text(self.design, self.record, self.found)
 
     def _rows(self) -> Sequence[Row]:
-        each = zip(
+        samples = zip(
             self.record.time, self._residual, self.found.statistic, self.found.alarm, strict=True
         )
         return [
             {"time": float(t), "residual": float(r), "statistic": float(s), "alarm": bool(a)}
-            for t, r, s, a in each
+            for t, r, s, a in samples
         ]
 
     def _picture(self) -> Picture:
@@ -104,7 +105,8 @@ class Residual(Result):
     >>> import residuum as rs
     >>> healthy = rs.simulate("process-plant", seed=1)
     >>> made = rs.residual(rs.identify(healthy, input="u", output="y", order=40), healthy)
-    >>> made.to_dict()["stable"], made.run(rs.simulate("process-plant", seed=2)).to_dict()["threshold_kind"]
+    >>> run = made.run(rs.simulate("process-plant", seed=2))
+    >>> made.to_dict()["stable"], run.to_dict()["threshold_kind"]
     (True, 'posterior')
     """
 

@@ -10,8 +10,11 @@ import numpy as np
 from residuum.library.picture import Array, Bars, Curve, Panel, Picture
 
 _WIDTH, _HEIGHT = 560, 150
+"""Of a panel [px]."""
 _LEFT, _RIGHT, _TOP, _BOTTOM = 62, 12, 20, 30
+"""Margins of the axes [px], for numbers and names."""
 _POINTS = 600
+"""Of a curve: more than one a pixel cannot be seen."""
 _COLOURS = ("#1f6f8b", "#d1495b", "#66a182", "#edae49", "#8d6a9f", "#5c6b73")
 
 
@@ -59,6 +62,7 @@ def _curves(curves: Sequence[Curve], logarithmic: bool) -> str:
         colour = _COLOURS[number % len(_COLOURS)]
         places = _scaled(x, x_span, _LEFT, _WIDTH - _RIGHT)
         if curve.low is not None and curve.high is not None:
+            # A band is one outline: along its upper edge, and back along the lower one.
             edges = [_heights(edge, y_span) for edge in (curve.high, curve.low)]
             outline = _points(np.r_[places, places[::-1]], np.r_[edges[0], edges[1][::-1]])
             parts.append(f'<polygon points="{outline}" fill="{colour}" opacity=".2"/>')
@@ -116,6 +120,7 @@ def _span(arrays: Sequence[Array]) -> tuple[float, float]:
     if not finite.size:
         return 0.0, 1.0
     low, high = float(finite.min()), float(finite.max())
+    # A constant has a span, too, and lies in the middle of it.
     return (low, high) if high > low else (low - 0.5, high + 0.5)
 
 

@@ -42,59 +42,63 @@ class Uncertainty(Result):
     asked: Asked
 
     def _answer(self) -> dict[str, Any]:
-        made = self.bound
+        bound = self.bound
         return {
             "identified": None,
-            "form": made.form,
+            "form": bound.form,
             "rule": self.asked.rule,
             "epsilon": self.asked.epsilon,
             "zeta": self.asked.zeta,
-            "samples": made.n_samples,
-            "promise": made.promise,
-            "certified": made.certified,
+            "samples": bound.n_samples,
+            "promise": bound.promise,
+            "certified": bound.certified,
             "weight": {
-                "numerator": made.weight.num,
-                "denominator": made.weight.den,
-                "sample_time": made.weight.sample_time,
+                "numerator": bound.weight.num,
+                "denominator": bound.weight.den,
+                "sample_time": bound.weight.sample_time,
             },
-            "critical_frequency_rad_s": made.critical_frequency,
-            "frequency_rad_s": made.omega,
-            "largest_error": made.magnitude,
+            "critical_frequency_rad_s": bound.critical_frequency,
+            "frequency_rad_s": bound.omega,
+            "largest_error": bound.magnitude,
         }
 
     def __str__(self) -> str:
-        made = self.bound
+        bound = self.bound
         proven = "proven at every frequency"
         between = (
             proven
-            if made.certified
+            if bound.certified
             else "at the grid's frequencies alone; nothing is proven between them"
         )
         crossing = (
             "nowhere"
-            if made.critical_frequency is None
-            else f"from {made.critical_frequency:.4g} rad/s on"
+            if bound.critical_frequency is None
+            else f"from {bound.critical_frequency:.4g} rad/s on"
         )
         return "\n".join(
             [
                 (
-                    f"{made.form} error of {made.n_samples} random models: at most"
-                    f" {float(np.max(made.magnitude)):.4g}"
+                    f"{bound.form} error of {bound.n_samples} random models: at most"
+                    f" {float(np.max(bound.magnitude)):.4g}"
                 ),
                 (
-                    f"  W_T(z) = {_polynomial(made.weight.num)} over"
-                    f" {_polynomial(made.weight.den)}, descending powers of z"
+                    f"  W_T(z) = {_polynomial(bound.weight.num)} over"
+                    f" {_polynomial(bound.weight.den)}, descending powers of z"
                 ),
                 f"  above the error {between}; 1 or more {crossing}",
-                f"  {made.promise}",
+                f"  {bound.promise}",
             ]
         )
 
     def _rows(self) -> Sequence[Row]:
-        each = zip(self.bound.omega, self.bound.magnitude, self._weight, strict=True)
+        rows = zip(self.bound.omega, self.bound.magnitude, self._weight, strict=True)
         return [
-            {"frequency_rad_s": float(w), "largest_error": float(e), "weight": float(bound)}
-            for w, e, bound in each
+            {
+                "frequency_rad_s": float(omega),
+                "largest_error": float(error),
+                "weight": float(weight),
+            }
+            for omega, error, weight in rows
         ]
 
     def _picture(self) -> Picture:

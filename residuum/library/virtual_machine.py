@@ -15,6 +15,7 @@ from residuum.nearest_names import known_names
 from residuum.simulation import MACHINES, BadSetting, Machine, Signals
 
 _MOST_SAMPLES = 50_000_000
+"""Of a record that is simulated: it is held in memory as a whole."""
 _COMMON = ("self", "seed", "effects", "faults", "exemplar")
 
 
@@ -42,7 +43,8 @@ def simulate(machine: str, **given: Any) -> Record:
     Examples
     --------
     >>> import residuum as rs
-    >>> record = rs.simulate("gate-drive", effects={"coulomb-friction": "large"}, duration=2.0, seed=1)
+    >>> hidden = {"coulomb-friction": "large"}
+    >>> record = rs.simulate("gate-drive", effects=hidden, duration=2.0, seed=1)
     >>> record.names, record.units["speed"]
     (('voltage', 'speed', 'current'), 'rad/s')
     """
@@ -66,6 +68,7 @@ def simulated(machine: str, asked: Simulate) -> tuple[Record, dict[str, Any]]:
         built = MACHINES[machine](
             asked.seed, asked.effects, asked.faults, asked.exemplar, **settings
         )
+        # Before the simulation: an event comes at the next occasion of the machine.
         for id, size in asked.events.items():
             built.trigger(id, size)
         signals = built.simulate(_length(built, asked.duration))

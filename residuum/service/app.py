@@ -23,7 +23,7 @@ from residuum.service.alarms.alarm_states import AlarmRule
 from residuum.service.alarms.events import Events
 from residuum.service.alarms.notifications import Notifications
 from residuum.service.api import ROUTERS, health
-from residuum.service.api.results import downloads
+from residuum.service.api.responses import downloads
 from residuum.service.known_queries import KnownQueries
 from residuum.service.logs import set_up_logs
 from residuum.service.machines.pipeline import Pipeline

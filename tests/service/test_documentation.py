@@ -8,7 +8,7 @@ import httpx
 import pytest
 from starlette.applications import Starlette
 
-from residuum.service.web.documentation import documentation_routes
+from residuum.service.web import documentation_routes
 
 SCRIPT = "document.title = 'ours'"
 

@@ -87,10 +87,13 @@ def expected_calibration_error(
     >>> expected_calibration_error([0.2] * 10, [True, True] + [False] * 8)
     0.0
     """
-    lines = reliability_table(predicted, true, edges)
-    return sum(line.n * abs(line.predicted - line.observed) for line in lines) / sum(
-        line.n for line in lines
-    )
+    return calibration_error(reliability_table(predicted, true, edges))
+
+
+def calibration_error(lines: Sequence[ReliabilityLine]) -> float:
+    """The expected calibration error of the bins of a table: Σ n |said − came true| / Σ n."""
+    misses = sum(line.n * abs(line.predicted - line.observed) for line in lines)
+    return misses / sum(line.n for line in lines)
 
 
 def _checked(

@@ -77,6 +77,7 @@ def region_json(region: Region) -> dict[str, Any]:
 
 
 def _percent(fit: float) -> str:
+    # A channel that stands still has no deviation from its mean to hold the error against.
     return f"{fit:.1f} %" if math.isfinite(fit) else "unknown (the record stands still)"
 
 
@@ -121,14 +122,15 @@ def _lacking(comparison: Comparison, name: str) -> str:
     """Which output is not compared, in which records."""
     records = comparison.not_recorded[name]
     where = f" in {', '.join(records)}" if len(records) < len(comparison.records) else ""
-    one = said("map", {name: "COLUMN"})
-    return f"{name}: not compared{where}, for no column holds it (map one: {one})"
+    way_to_map = said("map", {name: "COLUMN"})
+    return f"{name}: not compared{where}, for no column holds it (map one: {way_to_map})"
 
 
 def _structured(comparison: Comparison) -> str:
     """Whether the error is structured, in a line."""
     if not comparison.structured:
         return "structured error: not told; the records are too short to tell an error from noise"
+    # Readings that are odd were left out, so that nothing is said of them either way.
     if not comparison.present and comparison.odd_samples:
         return "structured error: not told; the sensor's readings are odd where the warning says so"
     if not comparison.present:
@@ -136,6 +138,7 @@ def _structured(comparison: Comparison) -> str:
             f"structured error: no ({chance(comparison.p_value)}; noise alone explains the error)"
         )
     percent = 100 * comparison.share
+    # A share below 1 % rounded to a whole number would be told as none.
     share = f"{percent:.0f}" if percent >= 1.0 else f"{percent:.1g}"
     says = f"structured error: yes ({chance(comparison.p_value)}, {share} % of the error's power)"
     present = [name for name, test in comparison.structured.items() if test.present]

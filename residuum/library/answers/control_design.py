@@ -23,6 +23,7 @@ from residuum.robust_control.loop import weighted_loop
 # What a control design promises in time beside what is measured, for the console and the page.
 
 _SHARE = 0.95
+"""Share of the drawn plants that stay below what is told as reached."""
 
 
 def promise_and_measurement(
@@ -53,6 +54,7 @@ def promise_and_measurement(
             },
         },
     }
+    # The robust aim shapes weights alone: it promises nothing in time.
     if wishes.aim != "nominal":
         return {"promised": None, "measured": measured}
     promised = {
@@ -60,8 +62,11 @@ def promise_and_measurement(
         "settling_time_s": solution.chosen.second,
         "in_time": wishes.in_time,
     }
-    kept, share = responses.kept(solution.chosen.first, solution.chosen.second)
-    return {"promised": promised, "measured": measured | {"kept": kept, "share_kept": share}}
+    promise_kept, share = responses.kept(solution.chosen.first, solution.chosen.second)
+    return {
+        "promised": promised,
+        "measured": measured | {"kept": promise_kept, "share_kept": share},
+    }
 
 
 def says(result: Mapping[str, Any]) -> list[str]:
@@ -92,6 +97,7 @@ def says(result: Mapping[str, Any]) -> list[str]:
 
 
 _NAMES = ("overshoot", "settling_time", "integral_absolute_error")
+"""Figures of a step response, in the order in which `StepResponse` takes them."""
 
 
 def _figures(step: StepResponse) -> dict[str, float | None]:
@@ -191,6 +197,8 @@ def _margin_text(margin: dict[str, float | None] | None) -> list[str]:
 
 def _about(result: dict[str, Any]) -> list[str]:
     about, lines = result["largest_uncertainty_about"], []
+    # A controller cannot answer a measurement within the sample that its own signal moves: an
+    # algebraic loop of gains of thousands looked stable, and diverged on the true plant.
     if result["computation_samples"]:
         lines = [
             "  the plant acts within its sample: the loop is closed one sample later, as a"

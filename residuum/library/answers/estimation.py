@@ -106,9 +106,10 @@ def _slope_text(name: str, how: dict[str, Any]) -> str:
 
 
 def _percent(fit: float | None) -> str:
-    return (
-        "unknown" if fit is None or np.isnan(fit) else f"{fit:.2f} %" if fit >= 0 else "below 0 %"
-    )
+    if fit is None or np.isnan(fit):
+        return "unknown"
+    # 0 % is what the measurement's mean alone would reach
+    return f"{fit:.2f} %" if fit >= 0 else "below 0 %"
 
 
 def estimate_text(estimate: dict[str, Any]) -> str:

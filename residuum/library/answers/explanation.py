@@ -65,7 +65,8 @@ def tied_text(effect: str, target: str, parameters: Mapping[str, Quantity]) -> s
 
 def _curve(parameters: Mapping[str, Quantity]) -> dict[str, Any]:
     count = sum(name.startswith("a") for name in parameters)
-    at, values = ([parameters[f"{letter}{k}"] for k in range(1, count + 1)] for letter in "av")
+    at = [parameters[f"a{k}"] for k in range(1, count + 1)]
+    values = [parameters[f"v{k}"] for k in range(1, count + 1)]
     return {
         "at": [q.value for q in at],
         "value": [q.value for q in values],
@@ -77,6 +78,7 @@ def _curve(parameters: Mapping[str, Quantity]) -> dict[str, Any]:
 
 def _formula(signal: str, parameters: Mapping[str, Quantity]) -> str | None:
     curve = _curve(parameters)
+    # A curve of values says little to a reader; a formula that comes near says what it is like.
     nearest = nearest_formula(np.array(curve["at"]), np.array(curve["value"]))
     return (
         None
@@ -201,6 +203,7 @@ def work_text(work: Work) -> list[str]:
         if work.timed_out
         else "the work that a search may take was done"
     )
+    # The object names all; a line of text some.
     shown, more = work.not_tried[:_TOLD], len(work.not_tried) - _TOLD
     return [
         f"  not tried, for {why}: {', '.join(shown)}"
@@ -301,16 +304,16 @@ def held_text(held: HeldValue) -> str:
         if held.indistinguishable_from
         else ""
     )
-    asked = value_text(held.value, held.std, held.unit)
+    asked, way_on = value_text(held.value, held.std, held.unit), said("free", [held.name])
     return (
         f"  {held.name} is fixed at {held.held:.4g} {held.unit}; the records ask for {asked}, which"
-        f" explains more than an effect would{alike}: improve with {said('free', [held.name])} takes"
-        " it up"
+        f" explains more than an effect would{alike}: improve with {way_on} takes it up"
     )
 
 
 def _values_text(values: Sequence[EstimatedValue]) -> list[str]:
     """One line for the values that the records contradict."""
+    # Of a machine whose mass had changed it would not be told why its model errs.
     estimates = [
         f"{v.name} = {value_text(v.value, v.std, v.unit)} (file: {v.file:.4g})"
         for v in values
@@ -332,7 +335,8 @@ def _free_term_text(explanation: Explanation) -> list[str]:
         f"  a term outside the catalogue in balance {free.balance}, a function of {free.axis},"
         f" explains {100 * explanation.unexplained_share:.0f} % of what can be explained"
     ]
-    if (formula := nearest_formula(free.at, free.value)) is not None:
+    formula = nearest_formula(free.at, free.value)
+    if formula is not None:
         lines.append(
             f"    it looks like {formula.formula} {free.unit}, z = {free.axis} /"
             f" {formula.largest:.3g}"
@@ -363,6 +367,7 @@ def explanation_text(explanation: Explanation) -> str:
     """The short human report."""
     lines = [f"verdict: {explanation.verdict}"]
     lines += map(held_text, explanation.held)
+    # What was accepted in a later step is told whatever its probability there was.
     likely = [c for c in explanation.candidates if c.step > 0 or c.probability >= _RULED_OUT]
     ruled_out = [c for c in explanation.candidates if c not in likely]
     lines += map(_candidate_text, likely[:6])

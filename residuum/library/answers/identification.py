@@ -77,22 +77,30 @@ def identification_text(model: IdentifiedModel, result: dict[str, Any]) -> str:
         ),
         f"  fit               {_fits(result['fit_percent'])} of the estimation data{_shown(model)}",
     ]
-    if assumed.get("kept_aside") and not result["held_out_fit_percent"]:
-        aside_fits = _fits([part["fit_percent"] for part in assumed["kept_aside"]])
-        lines.append(f"  fit kept aside    {aside_fits} of the last 30 %, by the first 70 %")
-    if result["held_out_fit_percent"]:
-        lines.append(f"  held-out fit      {_fits(result['held_out_fit_percent'])}")
+    lines += _fit_on_new_data(result["held_out_fit_percent"], assumed.get("kept_aside"))
     if result["std_says"] is not None:
         lines.append(f"  bands             {result['std_says']}")
     if model.hyper_parameters:
-        lines.append(
-            "  hyper-parameters  "
-            + ", ".join(f"{name} {value:.4g}" for name, value in model.hyper_parameters.items())
-        )
+        values = [f"{name} {value:.4g}" for name, value in model.hyper_parameters.items()]
+        lines.append(f"  hyper-parameters  {', '.join(values)}")
     lines += [f"  warning           {text}" for text in model.warnings]
     if result["file"]:
         lines.append(f"  written to        {result['file']}")
     return "\n".join(lines)
+
+
+def _fit_on_new_data(
+    held_out: Sequence[float | None], kept_aside: Sequence[Mapping[str, Any]] | None
+) -> list[str]:
+    """The fit on what split notes kept; where there are none, that of a fit of the first part on
+    the last.
+    """
+    if held_out:
+        return [f"  held-out fit      {_fits(held_out)}"]
+    if kept_aside:
+        aside_fits = _fits([part["fit_percent"] for part in kept_aside])
+        return [f"  fit kept aside    {aside_fits} of the last 30 %, by the first 70 %"]
+    return []
 
 
 def _largest(model: IdentifiedModel, assumed: Mapping[str, Any]) -> str:

@@ -23,13 +23,12 @@ def design_json(problem: MultivariableProblem, design: MultivariableDesign) -> d
     together are certified.
     """
     measured = problem.measured(design)
-    unstable = np.any(
-        [
-            [not math.isfinite(s.integral_absolute_error) for s in loop.own.drawn]
-            for loop in measured
-        ],
-        axis=0,
-    )
+    # A drawn plant is unstable where the error of any of its loops has no end.
+    endless = [
+        [not math.isfinite(step.integral_absolute_error) for step in loop.own.drawn]
+        for loop in measured
+    ]
+    unstable = np.any(endless, axis=0)
     return {
         "feasible": True,
         "inputs": list(problem.model.inputs),
@@ -76,11 +75,14 @@ def design_text(result: dict[str, Any]) -> str:
     """The short human report."""
     rows = "; ".join(", ".join(f"{value:.4g}" for value in row) for row in result["decoupler"])
     plants = result["random_plants"]
+    inputs = ", ".join(result["inputs"])
+    certificate = "NOT certified"
+    if result["certified"]:
+        certificate = "all loops together are certified stable for every drawn model"
     lines = [
-        f"{result['structure']} behind the decoupler D (rows: {', '.join(result['inputs'])}) {rows}",
-        "  " + ("all loops together are certified stable for every drawn model" if result["certified"] else "NOT certified")
-        + f"; {plants['unstable']} of {plants['count']} further plants unstable",
-    ]  # fmt: skip
+        f"{result['structure']} behind the decoupler D (rows: {inputs}) {rows}",
+        f"  {certificate}; {plants['unstable']} of {plants['count']} further plants unstable",
+    ]
     for loop in result["loops"]:
         measured, promised = loop["measured"], loop["promised"]
         nominal, most = measured["nominal"], measured["reached_by_95_percent"]

@@ -36,9 +36,8 @@ def design_json(design: MultivariableResidual, *, identified: str, file: str) ->
 
 def design_text(result: dict[str, Any]) -> str:
     """The short human report of a design."""
-    inputs, outputs = (
-        ", ".join(channel["name"] for channel in result[name]) for name in ("inputs", "outputs")
-    )
+    inputs = ", ".join(channel["name"] for channel in result["inputs"])
+    outputs = ", ".join(channel["name"] for channel in result["outputs"])
     blind = f", blind to {', '.join(result['unknown_inputs'])}" if result["unknown_inputs"] else ""
     spread = ", ".join(f"{value:.4g}" for value in result["noise"]["innovation_std"])
     order = result["noise"]["order"]
@@ -106,7 +105,8 @@ def run_text(result: dict[str, Any]) -> str:
     if not result["alarm"]:
         return "\n".join([f"no alarm (largest {result['largest']:.4g})", judged])
     lines = [f"alarm at {result['first_alarm_time']:.6g} s, {result['exceedances']} exceedances"]
-    if (fault := result["fault_estimate"]) is not None:
+    fault = result["fault_estimate"]
+    if fault is not None:
         low, high = fault["band_95"]
         alike = (
             f"; cannot be told from {', '.join(fault['indistinguishable_from'])}"

@@ -53,6 +53,7 @@ def value_text(value: float, std: float, unit: str) -> str:
     """
     if not 0.0 < std < math.inf:
         return f"{value:.4g} {unit}".rstrip() + ("" if std == 0.0 else " (not determined)")
+    # The decimal in which the deviation begins; adding 0.0 makes 0 of a −0 that rounding left.
     digits = -math.floor(math.log10(std))
     return f"{round(value, digits) + 0.0:.12g} ± {round(std, digits):.12g} {unit}".rstrip()
 

@@ -168,7 +168,8 @@ def run_text(design: ResidualDesign, record: Record, detection: Detection) -> st
     lines.insert(
         0, f"alarm at {float(record.time[first]):.6g} s, {int(detection.alarm.sum())} exceedances"
     )
-    if (estimate := detection.estimate) is not None:
+    estimate = detection.estimate
+    if estimate is not None:
         lines.insert(
             1,
             f"{_fault_text(estimate)}, {_since(design, record, estimate.onset)}{_alike(estimate)}",
@@ -198,6 +199,7 @@ def _fault_text(estimate: FaultEstimate) -> str:
 def _since(design: ResidualDesign, record: Record, onset: int) -> str:
     """When the fault began, or that it was there before the first sample that could be judged."""
     judged_from = design.generator.warm_up
+    # Before the filters' memory is full nothing is judged: an onset there may lie anywhere before.
     if onset <= judged_from:
         return (
             f"since before {record.t0 + judged_from * record.sample_time:.6g} s, the first that is"

@@ -14,6 +14,8 @@ from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from contextlib import suppress
 from contextvars import ContextVar
 from dataclasses import dataclass
+from functools import reduce
+from operator import or_
 from textwrap import TextWrapper
 from types import NoneType, UnionType
 from typing import (
@@ -65,9 +67,6 @@ _RULES = {
 _SHOWN = {
     NoneType: "None",
     tuple[str, ...]: "str | tuple[str, ...]",
-    dict[str, Literal["small", "medium", "large"] | dict[str, float]]: (
-        "dict[str, str | dict[str, float]]"
-    ),
 }
 """How a type is shown; of several names one may stand alone."""
 _BOUNDS = {"ge": "≥", "gt": ">", "le": "≤", "lt": "<"}
@@ -98,7 +97,7 @@ class Question(BaseModel):
     renamed: ClassVar[Mapping[str, str]] = {}
     """How a field was called before → how it is called now."""
     singular: ClassVar[Mapping[str, str]] = {}
-    """Field of several → how a command calls one of them, which it takes beside the field's name."""
+    """Field of several → how a command calls one of them, beside the field's name."""
 
     @classmethod
     def of(cls, given: Mapping[str, Any]) -> Self:
@@ -113,6 +112,7 @@ class Question(BaseModel):
     def _as_written_now(cls, given: Any) -> Any:
         if not isinstance(given, dict):
             return given
+        # A name of before is read, and told; where both names are given, the new one counts.
         for old in [
             name for name, new in cls.renamed.items() if name in given and new not in given
         ]:
@@ -147,7 +147,9 @@ class Question(BaseModel):
     @classmethod
     def _is_known(cls, value: Any, info: ValidationInfo) -> Any:
         name = str(info.field_name)
-        if value is not None and (names := choices(cls.model_fields[name])) and value not in names:
+        # Names are held to those that there are here, so that every door suggests the nearest one.
+        names = choices(cls.model_fields[name])
+        if value is not None and names and value not in names:
             raise BadInput(
                 repr(value), name, f"there is none of this name; {known_names(value, names)}"
             )
@@ -191,7 +193,8 @@ def field(
     extra: dict[str, Any] = {"enum": list(choices)} if choices else {}
     if choices_with:
         extra["x-choices-only-with"] = {name: [_listed(way)] for name, way in choices_with.items()}
-    if ways := [_listed(way) for way in only_with]:
+    ways = [_listed(way) for way in only_with]
+    if ways:
         extra["x-only-with"] = ways
     if written:
         extra["x-written"] = written
@@ -227,14 +230,12 @@ def help_of(field: FieldInfo) -> str:
         for rule in field.metadata
         if hasattr(rule, key)
     ]
-    more = (
-        [f"One of {', '.join(names)}."]
-        if names
-        else [f"Must be {' and '.join(limits)}."]
-        if limits
-        else []
-    )
-    return " ".join([str(field.description), *more])
+    sentences = [str(field.description)]
+    if names:
+        sentences.append(f"One of {', '.join(names)}.")
+    elif limits:
+        sentences.append(f"Must be {' and '.join(limits)}.")
+    return " ".join(sentences)
 
 
 def refusal(error: Mapping[str, Any], known: Iterable[str] = ()) -> BadInput:
@@ -242,7 +243,9 @@ def refusal(error: Mapping[str, Any], known: Iterable[str] = ()) -> BadInput:
     there are.
     """
     context = error.get("ctx", {})
-    if isinstance(own := context.get("error"), BadInput):
+    # A refusal of ours, raised in a validator, is in words already.
+    own = context.get("error")
+    if isinstance(own, BadInput):
         return own
     where = ".".join(str(part) for part in error["loc"] if part not in ("body", "query", "[key]"))
     if error["type"] == "extra_forbidden":
@@ -279,23 +282,25 @@ def asks(question: type[Question]) -> Callable[[Function], Function]:
     and to its docstring after the parameters of its own, but for `progress`, which is the last.
     """
 
-    def told(function: Function) -> Function:
+    # In the signature and in the docstring: both are what an editor and the reference show.
+    def with_fields(function: Function) -> Function:
         signature = inspect.signature(function)
+        # `**given` goes: each of its keywords stands in the signature by itself.
         own = [arg for arg in signature.parameters.values() if arg.kind is not arg.VAR_KEYWORD]
         parameters = sorted(
             [*own, *_keywords(question)], key=lambda arg: (arg.kind, arg.name == "progress")
         )
-        function.__signature__ = signature.replace(parameters=parameters)  # type: ignore[attr-defined]
-        fields = "\n".join(
-            f"{arg.name} :"
-            f" {arg.annotation.replace(' | ', ' or ')}\n{_LINES.fill(help_of(question.model_fields[arg.name]))}"
-            for arg in _keywords(question)
-        )
+        with_fields_too = signature.replace(parameters=parameters)
+        function.__signature__ = with_fields_too  # type: ignore[attr-defined]
+        fields = []
+        for arg in _keywords(question):
+            meaning = _LINES.fill(help_of(question.model_fields[arg.name]))
+            fields.append(f"{arg.name} : {arg.annotation.replace(' | ', ' or ')}\n{meaning}")
         before, ending, after = _LAST.split(inspect.cleandoc(function.__doc__ or ""), maxsplit=1)
-        function.__doc__ = f"{before}\n{fields}{ending}{after}"
+        function.__doc__ = "\n".join([before, *fields]) + ending + after
         return function
 
-    return told
+    return with_fields
 
 
 def _shown(question: type[Question], name: str) -> str:
@@ -318,4 +323,20 @@ def kinds(hint: Any) -> tuple[Any, ...]:
 
 
 def _kind(hint: Any) -> str:
-    return " | ".join(_SHOWN.get(kind) or inspect.formatannotation(kind) for kind in kinds(hint))
+    shown = (_SHOWN.get(kind) or _formatted(kind) for kind in kinds(hint))
+    return " | ".join(shown)
+
+
+def _formatted(hint: Any) -> str:
+    return inspect.formatannotation(_without_choices(hint))
+
+
+def _without_choices(hint: Any) -> Any:
+    """The type with `str` for each choice of texts: the field's help lists them."""
+    origin, parts = get_origin(hint), get_args(hint)
+    if origin is Literal and all(isinstance(choice, str) for choice in parts):
+        return str
+    if origin is Literal or not parts:
+        return hint
+    plain = [_without_choices(part) for part in parts]
+    return reduce(or_, plain) if origin in (Union, UnionType) else origin[tuple(plain)]

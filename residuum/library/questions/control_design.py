@@ -127,14 +127,7 @@ class DesignController(WeightQuestion):
 
     @model_validator(mode="after")
     def _fits_together(self) -> Self:
-        if self.only is not None and self.only not in WISHES[self.aim]:
-            right_aim = next(aim for aim, wishes in WISHES.items() if self.only in wishes)
-            raise BadInput(
-                repr(self.only),
-                "only",
-                f"is a wish of the aim {right_aim}",
-                way_on=[("aim", right_aim)],
-            )
+        self._refuse_wish_of_other_aim()
         if self.in_time and (self.aim != "nominal" or self.only is not None):
             raise BadInput(
                 "", "in_time", "needs the aim nominal, and holds both wishes; leave only out"
@@ -143,3 +136,14 @@ class DesignController(WeightQuestion):
         if low is not None and high is not None and low >= high:
             raise BadInput(f"{low:g} {high:g}", "limits", "must have the lower one first")
         return self
+
+    def _refuse_wish_of_other_aim(self) -> None:
+        if self.only is None or self.only in WISHES[self.aim]:
+            return
+        right_aim = next(aim for aim, wishes in WISHES.items() if self.only in wishes)
+        raise BadInput(
+            repr(self.only),
+            "only",
+            f"is a wish of the aim {right_aim}",
+            way_on=[("aim", right_aim)],
+        )

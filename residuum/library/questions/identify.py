@@ -157,24 +157,11 @@ class Identify(Question):
         """What belongs to other methods, to a model with an input, or to a single path is refused
         before any work.
         """
-        series, bounded = self.method == "ar", self.uncertainty != "own"
-        if series and self.input is not None:
-            raise BadInput("'ar'", "method", "models an output alone; leave the input out")
-        if not series and self.input is None:
-            raise BadInput(repr(self.method), "method", "needs an input")
-        if self.is_multivariable and (
-            self.method != "kernel" or bounded or self.integrator or self.check
-        ):
-            raise BadInput(
-                "several inputs or outputs: need the method kernel, the model's own uncertainty, no"
-                " integrator, no check"
-            )
-        if series and (self.integrator or bounded or self.check):
-            asked = "integrator" if self.integrator else "uncertainty" if bounded else "check"
-            raise BadInput(
-                "", asked, "needs a model with an input; a time series (method ar) has none"
-            )
-        if self.integrator and bounded:
+        # One refusal is told: what a model cannot be without comes before what it does not need.
+        self._refuse_missing_input()
+        self._refuse_of_single_path()
+        self._refuse_of_input()
+        if self.integrator and self._is_bounded:
             raise BadInput(
                 repr(self.uncertainty),
                 "uncertainty",
@@ -188,6 +175,45 @@ class Identify(Question):
             )
         return self
 
+    @property
+    def _is_series(self) -> bool:
+        return self.method == "ar"
+
+    @property
+    def _is_bounded(self) -> bool:
+        """Whether an error model bounds the error, instead of the estimate's own covariance."""
+        return self.uncertainty != "own"
+
+    def _refuse_missing_input(self) -> None:
+        if self._is_series and self.input is not None:
+            raise BadInput("'ar'", "method", "models an output alone; leave the input out")
+        if not self._is_series and self.input is None:
+            raise BadInput(repr(self.method), "method", "needs an input")
+
+    def _refuse_of_single_path(self) -> None:
+        of_single_path = self.method != "kernel" or self._is_bounded or self.integrator
+        if self.is_multivariable and (of_single_path or self.check):
+            raise BadInput(
+                "several inputs or outputs: need the method kernel, the model's own uncertainty, no"
+                " integrator, no check"
+            )
+
+    def _refuse_of_input(self) -> None:
+        if not self._is_series:
+            return
+        needs_input = {
+            "integrator": self.integrator,
+            "uncertainty": self._is_bounded,
+            "check": self.check,
+        }
+        for name, is_asked in needs_input.items():
+            if is_asked:
+                raise BadInput(
+                    "", name, "needs a model with an input; a time series (method ar) has none"
+                )
+
 
 def _names(channels: str | list[str] | None) -> tuple[str, ...]:
-    return () if channels is None else (channels,) if isinstance(channels, str) else tuple(channels)
+    if channels is None:
+        return ()
+    return (channels,) if isinstance(channels, str) else tuple(channels)

@@ -61,7 +61,8 @@ class Improve(Explain):
 
     @model_validator(mode="after")
     def _fits_together(self) -> Self:
-        if wrong := [name for name in self.add or () if not _PLACED.fullmatch(name)]:
+        wrong = [name for name in self.add or () if not _PLACED.fullmatch(name)]
+        if wrong:
             raise BadInput(repr(wrong[0]), "add", "must be an effect, or effect@place")
         for name in ("auto", "effects", "learned"):
             if self.add and getattr(self, name):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Annotated, Any, ClassVar, Literal
+from typing import Annotated, Any, ClassVar, Literal, get_args
 
 from pydantic import BeforeValidator, Field, ValidationInfo
 
@@ -11,12 +11,13 @@ from residuum.identification.errors import BadInput
 from residuum.library.questions import Either, Question, field
 from residuum.nearest_names import known_names
 
-SIZES = ("small", "medium", "large")
+_Size = Literal["small", "medium", "large"]
+SIZES = get_args(_Size)
 _Name = Annotated[str, Field(min_length=1, max_length=64)]
 _Said = Annotated[list[str], Field(max_length=20)]
 _Parameters = Annotated[dict[_Name, float], Field(max_length=20)]
 _Hidden = Annotated[
-    Literal["small", "medium", "large"] | _Parameters,
+    _Size | _Parameters,
     Either("must be small, medium or large, or names of parameters with numbers"),
 ]
 

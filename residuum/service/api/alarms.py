@@ -16,8 +16,8 @@ from residuum.service.api.answers import (
     AlarmRatesAnswer,
     PageOf,
 )
-from residuum.service.api.json_response import Json, StrictRoute, page_answer
 from residuum.service.api.parameters import NAME, TEXT, AlarmId, Begin, Cursor, End, Limit
+from residuum.service.api.responses import Json, StrictRoute, page_answer
 from residuum.service.results.parquet_tables import open_span
 from residuum.service.results.rationalisation import rationalisation_table
 from residuum.service.services import Running, Services, caller_of
@@ -94,12 +94,12 @@ async def rationalisation(request: Request, running: Running) -> Response:
     """
     sites = caller_of(request).sites
 
-    def made() -> Response:
+    def table_file() -> Response:
         table = rationalisation_table(running.store, running.pipeline.alarm_rule, sites)
         headers = {"Content-Disposition": 'attachment; filename="alarms.csv"'}
         return Response(table, media_type="text/csv; charset=utf-8", headers=headers)
 
-    return await running.listing(made)
+    return await running.listing(table_file)
 
 
 @router.get("/{alarm}", response_model=AlarmAnswer)
@@ -128,6 +128,7 @@ def shelve(
     """
     shelving = shelving or Shelving(minutes=60.0, comment=None)
     rule = running.pipeline.alarm_rule(_visible(request, running, alarm).asset)
+    # Refused by the rule of the alarm's own machine, before anything is written.
     rule.refuse_shelving(shelving.minutes, shelving.comment)
     until = datetime.now(UTC) + timedelta(minutes=shelving.minutes)
     return _operate(request, running, alarm, AlarmEvent.SHELVE, shelving, until)

@@ -24,9 +24,8 @@ from residuum.library.questions.missing_effect import Explain, Improve
 from residuum.library.questions.residual import DesignResidual, RunResidual
 from residuum.robust_control.controller_export import LANGUAGES
 from residuum.service.api.answers import PROBLEMS, JobAnswer
-from residuum.service.api.jobs import accepted
-from residuum.service.api.json_response import Json, StrictRoute
 from residuum.service.api.parameters import NAME, ModelName, NewModelName
+from residuum.service.api.responses import Json, StrictRoute, accepted
 from residuum.service.services import Running, Services, caller_of
 from residuum.service.store import Conflict, NotFound
 from residuum.service.views.model_view import model_of
@@ -232,7 +231,7 @@ def residuals(running: Running, asked: Residuals) -> Response:
     `run` a record.
     """
     healthy, records = _records(running, asked.healthy), _records(running, asked.records)
-    content = _content(running, asked.model, "identified", None)
+    content = content_of(running, asked.model, "identified", None)
     questions = part_of(asked, DesignResidual), part_of(asked, RunResidual)
 
     def named(outcome: Mapping[str, Any]) -> Mapping[str, Any]:
@@ -260,10 +259,10 @@ def design_controller(running: Running, asked: ControlDesign) -> Response:
 
 def models_of(running: Services, asked: ControlDesign) -> tuple[list[bytes], bytes | None]:
     """The files of the models that a controller is designed for, and that of the nominal plant."""
-    contents = [_content(running, ref.model, "identified", ref.version) for ref in asked.models]
+    contents = [content_of(running, ref.model, "identified", ref.version) for ref in asked.models]
     joined = asked.joined
     return contents, (
-        None if joined is None else _content(running, joined.model, "identified", joined.version)
+        None if joined is None else content_of(running, joined.model, "identified", joined.version)
     )
 
 
@@ -292,6 +291,7 @@ def _keep(request: Request, running: Services, name: str | None, kind: str) -> K
             for key, value in outcome["result"].items()
             if key not in ("file", "model_file")
         }
+        # Some answers have no file to keep, such as that of a search that did not come to rest.
         if name is None or outcome["file"] is None:
             return result
         version = running.store.add_model_version(name, kind, outcome["file"], "made by a job", by)
@@ -308,11 +308,9 @@ def _check_known(question: Explain, names: Sequence[str] | None, given: Asked) -
     if given.text is not None:
         # its own effects are in the catalogue of this request from now on
         model_of(given.model, given.text)
-    if unknown := [
-        id
-        for id in (re.split("[@:]", name)[0] for name in names)
-        if id not in EFFECTS and id not in STRUCTURAL
-    ]:
+    ids = [re.split("[@:]", name)[0] for name in names]
+    unknown = [id for id in ids if id not in EFFECTS and id not in STRUCTURAL]
+    if unknown:
         raise NotFound(
             f"effect {unknown[0][:60]!r}: neither in the catalogue (GET /effects lists it) nor in"
             " the model file's own_effects"
@@ -321,8 +319,9 @@ def _check_known(question: Explain, names: Sequence[str] | None, given: Asked) -
 
 def _asked(running: Services, model: str, asked: OnRecords) -> Asked:
     """The model, the built-in one where no version is named, and what it is held against."""
+    # A version names a stored model, even one of a built-in model's name.
     built_in = asked.version is None and model in BUILT_IN
-    text = None if built_in else _content(running, model, "physical", asked.version)
+    text = None if built_in else content_of(running, model, "physical", asked.version)
     return Asked(model, text, _records(running, asked.records), asked.map)
 
 
@@ -332,7 +331,8 @@ def _records(running: Services, numbers: Sequence[int]) -> list[RecordParts]:
     ]
 
 
-def _content(running: Services, model: str, kind: str, version: int | None) -> bytes:
+def content_of(running: Services, model: str, kind: str, version: int | None) -> bytes:
+    """The file of a stored model's version (None: the newest); Conflict for one of another kind."""
     actual = running.store.model_versions(model)[0].kind
     if actual != kind:
         raise Conflict(

@@ -13,9 +13,8 @@ from pydantic import BaseModel, Field
 from residuum.identification.physics import write_model
 from residuum.service.api.analyses import Names
 from residuum.service.api.answers import PROBLEMS, JobAnswer, ModelVersionAnswer
-from residuum.service.api.jobs import accepted
-from residuum.service.api.json_response import Json, StrictRoute
 from residuum.service.api.parameters import NAME, TEXT, AssetName
+from residuum.service.api.responses import Json, StrictRoute, accepted
 from residuum.service.machines.adding import ModelText, stored_model
 from residuum.service.machines.baselines import (
     baseline_name,
@@ -94,10 +93,9 @@ def propose_model(
     diagnoser = running.store.asset(asset).diagnoser
     if diagnoser is None:
         raise Conflict(f"asset {asset!r}: has no diagnoser whose thresholds could be derived")
-    learned, checked = (
-        [parts_of(record) for record in part]
-        for part in parted(healthy_windows(running.store, asset))
-    )
+    to_learn, kept_aside = parted(healthy_windows(running.store, asset))
+    learned = [parts_of(record) for record in to_learn]
+    checked = [parts_of(record) for record in kept_aside]
     models = (
         _stored(running, _active(asset), None),
         stored_model(running.store, asked.model, asked.version),
@@ -127,6 +125,7 @@ def accept_model(
     name, text = stored_model(running.store, asked.model, asked.version)
     content = write_model(model_of(name, None)).encode() if text is None else text
     by, remark = caller_of(request).name, f"{_said(asked)}{f': {asked.note}' if asked.note else ''}"
+    # The thresholds first: the model is the active one only when they are kept.
     if asked.proposal is not None:
         baseline = running.store.model_content(_named(asset, "proposed"), asked.proposal)
         note = f"accepted with {_said(asked)}, proposal {asked.proposal}"

@@ -8,8 +8,8 @@ from fastapi import APIRouter, Query, Request, Response
 from pydantic import BaseModel, Field
 
 from residuum.service.api.answers import PROBLEMS, AssetAnswer, FindingAnswer, PageOf
-from residuum.service.api.json_response import Json, StrictRoute, page_answer
 from residuum.service.api.parameters import TEXT, AssetName, Begin, Cursor, End, Limit
+from residuum.service.api.responses import Json, StrictRoute, page_answer
 from residuum.service.machines.scoring import diagnoser_class
 from residuum.service.results.parquet_tables import open_span
 from residuum.service.services import Running, caller_of

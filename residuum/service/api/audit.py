@@ -5,8 +5,8 @@ from __future__ import annotations
 from fastapi import APIRouter, Response
 
 from residuum.service.api.answers import PROBLEMS, AuditAnswer, PageOf
-from residuum.service.api.json_response import page_answer
 from residuum.service.api.parameters import Cursor, Limit
+from residuum.service.api.responses import page_answer
 from residuum.service.services import Running
 
 router = APIRouter(prefix="/audit", tags=["audit"], responses=PROBLEMS)

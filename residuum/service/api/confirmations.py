@@ -14,7 +14,6 @@ from residuum.service.api.answers import (
     PageOf,
     ReliabilityAnswer,
 )
-from residuum.service.api.json_response import Json, StrictRoute, page_answer
 from residuum.service.api.parameters import (
     NAME,
     TEXT,
@@ -25,6 +24,7 @@ from residuum.service.api.parameters import (
     FindingId,
     Limit,
 )
+from residuum.service.api.responses import Json, StrictRoute, page_answer
 from residuum.service.results.parquet_tables import open_span
 from residuum.service.results.said_and_found import said_and_found
 from residuum.service.services import Running, caller_of
@@ -84,6 +84,7 @@ def confirm(
     else. What is told later on the same finding counts instead; both stay.
     """
     fields = found.model_dump()
+    # As the spans of time: a moment without a zone is one of UTC.
     if found.found_at is not None and found.found_at.tzinfo is None:
         fields["found_at"] = found.found_at.replace(tzinfo=UTC)
     caller = caller_of(request).name

@@ -14,8 +14,7 @@ from residuum.library.questions import OLD_SPELLINGS, part_of
 from residuum.library.questions.control_design import DesignController
 from residuum.service.api.analyses import ControlDesign, models_of
 from residuum.service.api.answers import PROBLEMS, JobAnswer
-from residuum.service.api.jobs import accepted
-from residuum.service.api.json_response import StrictRoute
+from residuum.service.api.responses import StrictRoute, accepted
 from residuum.service.services import Running
 from residuum.service.views.control_view import view_control_design
 

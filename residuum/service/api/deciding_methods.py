@@ -8,8 +8,8 @@ from fastapi import APIRouter, Request, Response
 from pydantic import BaseModel, Field
 
 from residuum.service.api.answers import PROBLEMS
-from residuum.service.api.json_response import Json, StrictRoute
 from residuum.service.api.parameters import AssetName
+from residuum.service.api.responses import Json, StrictRoute
 from residuum.service.machines.baselines import choose_method, chosen_method
 from residuum.service.machines.scoring import diagnoser_class
 from residuum.service.services import Running, Services, caller_of

@@ -5,7 +5,7 @@ from __future__ import annotations
 from fastapi import APIRouter, Response
 
 from residuum.diagnosis.diagnosers import DIAGNOSERS
-from residuum.service.api.json_response import Json
+from residuum.service.api.responses import Json
 from residuum.service.services import Running
 
 router = APIRouter(tags=["score"])

@@ -15,7 +15,7 @@ from residuum.identification.physics import BUILT_IN, PhysicalModel, load_model
 from residuum.identification.physics.compile.effect_signature import signature
 from residuum.identification.physics.effects import EFFECTS
 from residuum.service.api.answers import PROBLEMS
-from residuum.service.api.json_response import Json, StrictRoute
+from residuum.service.api.responses import Json, StrictRoute
 from residuum.service.services import Running
 from residuum.service.views.model_view import model_of
 
@@ -24,7 +24,9 @@ router = APIRouter(
 )
 
 _MOST_MODELS = 200
+"""Stored models whose effects are listed."""
 _DIGITS = 5
+"""Of a number of a curve that is drawn."""
 
 
 class EffectParameter(BaseModel):

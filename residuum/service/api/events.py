@@ -52,6 +52,7 @@ def event_stream(
     It begins now, not when its first line is asked for: whoever sees the connection made misses
     nothing from then on.
     """
+    # Taken here, not in the generator, which runs only when the answer is being sent.
     begin = last_event_id or events.now()
 
     async def lines() -> AsyncIterator[bytes]:

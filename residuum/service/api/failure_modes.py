@@ -17,7 +17,7 @@ from residuum.diagnosis.gate.fmeca import (
     load_fmeca,
     risk,
 )
-from residuum.service.api.json_response import Json
+from residuum.service.api.responses import Json
 
 router = APIRouter(tags=["score"])
 

@@ -10,16 +10,17 @@ from pydantic import BaseModel, Field
 
 from residuum.array_types import FloatArray
 from residuum.identification.linear_models.identified_model import IdentifiedModel
+from residuum.service.api.analyses import content_of
 from residuum.service.api.answers import PROBLEMS
-from residuum.service.api.json_response import Json, StrictRoute
 from residuum.service.api.parameters import ModelName
+from residuum.service.api.responses import Json, StrictRoute
 from residuum.service.services import Running, Services
-from residuum.service.store import Conflict
 from residuum.service.views.signal_view import read_identified
 
 router = APIRouter(prefix="/models", tags=["models"], route_class=StrictRoute, responses=PROBLEMS)
 
-_LOWEST = 1e-3  # of the Nyquist frequency
+_LOWEST = 1e-3
+"""The lowest frequency, as a share of the Nyquist frequency."""
 
 
 class FrequencyResponseAnswer(BaseModel):
@@ -86,10 +87,7 @@ def _roots(polynomial: FloatArray | None) -> list[dict[str, float]] | None:
 
 def _identified(running: Services, model: str, version: int | None) -> IdentifiedModel:
     """The stored model of this name; Conflict for one of another kind."""
-    actual = running.store.model_versions(model)[0].kind
-    if actual != "identified":
-        raise Conflict(f"model {model!r}: is a {actual} model; this needs an identified one")
-    return read_identified(running.store.model_content(model, version))
+    return read_identified(content_of(running, model, "identified", version))
 
 
 def frequency_response(model: IdentifiedModel, points: int) -> dict[str, list[float]]:
@@ -101,6 +99,8 @@ def frequency_response(model: IdentifiedModel, points: int) -> dict[str, list[fl
     G = model.frequency_response(2 * np.pi * frequency)
     covariance = model.frequency_covariance(2 * np.pi * frequency)
     magnitude = np.abs(G)
+    # The unit vector of G in the plane of (Re G, Im G), and the one across it: to first order the
+    # magnitude moves along the one, the phase along the other by σ/|G|.
     along = np.stack([G.real, G.imag], axis=1) / np.maximum(magnitude, 1e-300)[:, None]
     across = np.stack([-along[:, 1], along[:, 0]], axis=1)
     radial, tangential = (

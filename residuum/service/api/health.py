@@ -6,7 +6,7 @@ from importlib.metadata import version
 
 from fastapi import APIRouter, Request, Response
 
-from residuum.service.api.json_response import Json
+from residuum.service.api.responses import Json
 from residuum.service.machines.machine_state import counted, troubled
 from residuum.service.services import Running, caller_of
 
@@ -33,11 +33,13 @@ def ready(running: Running, request: Request) -> Response:
     visible = {name: state for name, state in states.items() if caller_of(request).may_see(name)}
     named = troubled(visible)
     storing = running.store.troubles()
+    # Still 200 where a machine is not judged: nothing is gained by a restart.
     answer = {
         "status": "degraded" if named or storing else "ready",
         "version": version("residuum"),
         "states": counted(visible),
     }
+    # The gate lets anybody ask here.
     stranger = running.keys.needed and not hasattr(request.state, "caller")
     return Json(answer if stranger else {**answer, "machines": named, "storage": dict(storing)})
 

@@ -11,9 +11,9 @@ from starlette.responses import StreamingResponse
 from residuum.service.alarms.events import Event
 from residuum.service.api.answers import PROBLEMS, JobAnswer, PageOf
 from residuum.service.api.events import LastEventId, event_stream
-from residuum.service.api.json_response import Json
+from residuum.service.api.responses import Json
 from residuum.service.services import Running
-from residuum.service.work.jobs import OVER, Job
+from residuum.service.work.jobs import OVER
 
 router = APIRouter(prefix="/jobs", tags=["jobs"], responses=PROBLEMS)
 
@@ -49,6 +49,7 @@ async def stream_job(running: Running, job: JobId, last_event_id: LastEventId = 
     # before the look at the job: its end comes after one or the other
     begin = last_event_id or running.events.now()
     state = running.jobs.get(job)
+    # An ended job has no event to come: its stream would never end.
     if state.state in OVER:
         data = orjson.dumps(state.to_json(with_result=False))
         return Response(b"event: job\ndata: " + data + b"\n\n", media_type="text/event-stream")
@@ -62,8 +63,3 @@ async def stream_job(running: Running, job: JobId, last_event_id: LastEventId = 
         of_this_job,
         lambda event: event.kind == "job" and orjson.loads(event.data)["state"] in OVER,
     )
-
-
-def accepted(job: Job) -> Json:
-    """The answer to a request that became a job."""
-    return Json(job.to_json(with_result=False), 202, {"Location": f"/api/v1/jobs/{job.id}"})

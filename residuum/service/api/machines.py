@@ -15,9 +15,8 @@ from residuum.identification.errors import BadInput
 from residuum.identification.physics import write_model
 from residuum.library.questions import field
 from residuum.service.api.answers import PROBLEMS, JobAnswer
-from residuum.service.api.jobs import accepted
-from residuum.service.api.json_response import Json, StrictRoute
 from residuum.service.api.parameters import NAME
+from residuum.service.api.responses import Json, StrictRoute, accepted
 from residuum.service.broker import with_hidden_password
 from residuum.service.machines.adding import (
     OF_SOURCE,
@@ -53,7 +52,9 @@ router = APIRouter(tags=["machines"], route_class=StrictRoute, responses=PROBLEM
 
 MachineName = Annotated[str, Path(alias="asset", description="Name of the machine.", pattern=NAME)]
 _WINDOWS_SHOWN = 500
+"""Recorded windows that are listed, the newest."""
 _MOST_RECORDS = 64
+"""Windows that become records at once: as many as an analysis takes."""
 _OF_TABLE = ({"kind": ["table"]},)
 
 
@@ -151,6 +152,7 @@ async def put_machine(
     comes with Residuum. A hidden password (`user:***@`) stands for the one that was given before
     for the same address.
     """
+    # All that can be refused is refused before anything that runs is changed.
     diagnoser_class(asked.diagnoser)
     document_name(machine)
     running.pipeline.refuse_fixed(machine)
@@ -169,9 +171,11 @@ async def put_machine(
             await run_in_threadpool(stored_model, running.store, model)
     before = await run_in_threadpool(kept_maps, running.store, machine)
     names = {source.map for source in settings.sources}
+    # Maps of an earlier setting that no source names any more are not kept.
     maps = {name: text for name, text in {**before, **asked.maps}.items() if name in names}
     with_files = await run_in_threadpool(with_map_files, settings, maps, running.settings.data)
     await running.pipeline.put_machine(with_files)
+    # Kept when it is watched: what the pipeline refuses is not tried again at the next start.
     await run_in_threadpool(keep_machine, running.store, settings, maps, caller_of(request).name)
     return Json(await run_in_threadpool(_described, running, machine))
 
@@ -221,6 +225,8 @@ def add_records(running: Running, machine: MachineName, asked: WindowsAsRecords)
     channels = settings.channels
     if asked.complete:
         used = used_by(model_of_settings(running.store, settings.model) if settings.model else None)
+        # A register that is read late leaves a hole, and one such window among a hundred would end
+        # a comparison of all.
         taken = complete_windows(
             running.store, machine, asked.windows, channels, used, asked.complete
         )
@@ -252,6 +258,7 @@ def train(request: Request, running: Running, machine: MachineName, asked: Train
     judged = has_baseline(running.store, machine, settings.baseline)
     baseline = trained.name
     model = _model(running, asked, trained.model) if trained.diagnoser == "model-based" else None
+    # With a baseline what it judged healthy, without one what was recorded.
     windows, holes = training_windows(
         running.store,
         machine,

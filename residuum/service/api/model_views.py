@@ -15,14 +15,14 @@ from residuum.identification.physics import BUILT_IN, load_model, write_model
 from residuum.identification.record import Record
 from residuum.library.questions import part_of
 from residuum.library.questions.compare import Compare
-from residuum.service.api.analyses import Comparison, OnRecords, Text
+from residuum.service.api.analyses import Comparison, OnRecords, Text, content_of
 from residuum.service.api.answers import PROBLEMS, JobAnswer, ModelVersionAnswer
-from residuum.service.api.jobs import accepted
-from residuum.service.api.json_response import Json, StrictRoute
 from residuum.service.api.parameters import ModelName, NewModelName
+from residuum.service.api.responses import Json, StrictRoute, accepted
 from residuum.service.services import Running, Services, caller_of
-from residuum.service.store import Conflict, NotFound
+from residuum.service.store import NotFound
 from residuum.service.views.model_view import (
+    EffectUse,
     add_effect,
     describe,
     effect_curves,
@@ -46,6 +46,7 @@ DERIVED_KEPT = 100
 time.
 """
 _LOOKED_AT = 500
+"""Newest records among which those of comparisons are looked for."""
 
 
 class Effect(BaseModel, extra="forbid"):
@@ -146,6 +147,7 @@ def view(running: Running, model: ModelName, asked: Comparison) -> Response:
     text = _text(running, model, asked.version)
 
     def keep(outcome: Mapping[str, Any]) -> Mapping[str, Any]:
+        # New ones first: they must not be among those that go.
         signals = [_stored(running, model, parts) for parts in outcome["signals"]]
         _let_go(running, set(signals))
         return {**outcome, "signals": signals}
@@ -161,7 +163,7 @@ def view(running: Running, model: ModelName, asked: Comparison) -> Response:
 @router.post("/{model}/effect-curves", status_code=202, response_model=JobAnswer)
 def curves(running: Running, model: ModelName, asked: Curves) -> Response:
     """What each of these effects would add to its balance, along every axis."""
-    effects = [(use.effect, use.balance, use.parameters) for use in asked.effects]
+    effects = [EffectUse(use.effect, use.balance, use.parameters) for use in asked.effects]
     text, records = _text(running, model, asked.version), _records(running, asked.records)
     return accepted(
         running.jobs.submit(
@@ -185,9 +187,9 @@ def add(request: Request, running: Running, model: ModelName, asked: Addition) -
         return {**answer, "stored": {"model": asked.save_as, "version": stored.number}}
 
     arguments = (_text(running, model, asked.version), _records(running, asked.records), asked.map)
-    addition = (added.effect, added.balance, added.parameters)
+    use = EffectUse(added.effect, added.balance, added.parameters)
     return accepted(
-        running.jobs.submit("add-effect", add_effect, model, *arguments, *addition, then=keep)
+        running.jobs.submit("add-effect", add_effect, model, *arguments, use, then=keep)
     )
 
 
@@ -195,10 +197,7 @@ def _text(running: Services, model: str, version: int | None) -> bytes | None:
     """The stored model's text; None for a built-in model."""
     if version is None and model in BUILT_IN:
         return None
-    actual = running.store.model_versions(model)[0].kind
-    if actual != "physical":
-        raise Conflict(f"model {model!r}: is a {actual} model; this needs a physical one")
-    return running.store.model_content(model, version)
+    return content_of(running, model, "physical", version)
 
 
 def _records(running: Services, numbers: Sequence[int]) -> list[RecordParts]:

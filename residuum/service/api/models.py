@@ -9,8 +9,8 @@ from fastapi import APIRouter, Path, Query, Request, Response
 from starlette.concurrency import run_in_threadpool
 
 from residuum.service.api.answers import PROBLEMS, ModelVersionAnswer, PageOf
-from residuum.service.api.json_response import Json, in_pieces, page_answer
 from residuum.service.api.parameters import TEXT, Cursor, Limit, ModelName, NewModelName
+from residuum.service.api.responses import Json, in_pieces, page_answer
 from residuum.service.api.signal_body import body_of
 from residuum.service.model_files import (
     MODEL_KINDS,
@@ -56,6 +56,7 @@ async def add_model(
     stored.
     """
     content = await body_of(request)
+    # A long or packed file is read in a process with limits.
     if is_read_apart(kind, content):
         limits = {
             "memory": running.settings.upload_memory,

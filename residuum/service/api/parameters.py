@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from typing import Annotated
 
 from fastapi import Path, Query
 from pydantic import AfterValidator, StringConstraints
 from pydantic_core import PydanticCustomError
 
+from residuum.nearest_names import known_names
 from residuum.service.machines.adding import ENDINGS
+from residuum.service.store import NotFound
 
 NAME = r"^[A-Za-z0-9][A-Za-z0-9._-]{0,63}$"
 """Names of assets, models and baselines: they stand in addresses and rows, never in a file's
@@ -34,6 +37,7 @@ none.
 """
 
 _LARGEST_ID = 2**53 - 1
+"""The largest number that JavaScript, and with it the page, tells from its neighbours."""
 
 AssetName = Annotated[str, Path(description="Name of the asset.", pattern=NAME)]
 ModelName = Annotated[str, Path(description="Name of the model.", pattern=NAME)]
@@ -51,3 +55,25 @@ End = Annotated[
     str | None, Query(alias="to", max_length=40, description="ISO 8601; not part of the span.")
 ]
 Limit = Annotated[int, Query(description="Most items on the page.", ge=1, le=500)]
+SpanBegin = Annotated[
+    str, Query(alias="from", max_length=40, description="ISO 8601; without a zone: UTC.")
+]
+SpanEnd = Annotated[
+    str, Query(alias="to", max_length=40, description="ISO 8601; not part of the span.")
+]
+ChannelNames = Annotated[
+    list[str] | None,
+    Query(description="Channels to show (default: all).", alias="channel", max_length=64),
+]
+Points = Annotated[int, Query(description="Most intervals to show.", ge=10, le=20_000)]
+
+
+def known_channels(channels: list[str] | None, units: Collection[str]) -> list[str] | None:
+    """The channels (None: all) of a window with these units; NotFound for one that it has not."""
+    for name in channels or ():
+        if name not in units:
+            raise NotFound(
+                f"channel {name[:60]!r}: the window has none of this name;"
+                f" {known_names(name, units, 'there are')}"
+            )
+    return channels

@@ -74,18 +74,19 @@ def reading_of(query: QueryParams) -> Reading:
     return reading(options, query.getlist("map"), query.getlist("unit"))
 
 
-def reading(said: Mapping[str, Any], maps: Sequence[str], units: Sequence[str]) -> Reading:
+def reading(plain: Mapping[str, Any], maps: Sequence[str], units: Sequence[str]) -> Reading:
     """Plain options with `map` and `unit` texts; a unit is said of a column, or of the name that it
     gets.
     """
     columns = _pairs("map", maps)
-    options = dict(said)
+    options = dict(plain)
     if "time" in columns:
         if options.get("time_column") is not None:
             raise BadBody("query: time=COLUMN and map=time=COLUMN are one option; give one of them")
         options["time_column"] = columns.pop("time")
-    if by_column := {columns.get(name, name): unit for name, unit in _pairs("unit", units).items()}:
-        options["units"] = by_column
+    unit_of_column = {columns.get(name, name): unit for name, unit in _pairs("unit", units).items()}
+    if unit_of_column:
+        options["units"] = unit_of_column
     return Reading(options, {column: name for name, column in columns.items()})
 
 
@@ -101,9 +102,10 @@ def remedies_in_upload() -> AbstractContextManager[None]:
 
 def only_of_files(query: QueryParams, kind: str) -> None:
     """Refuse options of a file for a body that says these things itself."""
-    if given := next((key for key in _OF_THE_FILE if key in query), None):
+    given = [key for key in _OF_THE_FILE if key in query]
+    if given:
         raise BadInput(
-            f"query, {given}: is an option for files (text/csv, application/zip); {kind} says it"
+            f"query, {given[0]}: is an option for files (text/csv, application/zip); {kind} says it"
             " itself"
         )
 

@@ -15,15 +15,15 @@ from residuum.identification.record_formats import CAN_LOGS, LOGGERS, OLDER, REA
 from residuum.identification.record_formats.loggers.logger_time import FORMS
 from residuum.nearest_names import known_names
 from residuum.service.api.answers import PROBLEMS, PageOf, RecordAnswer, SignalAnswer
-from residuum.service.api.json_response import Json, page_answer
-from residuum.service.api.parameters import TEXT, Cursor, Limit, RecordId
+from residuum.service.api.parameters import TEXT, ChannelNames, Cursor, Limit, Points, RecordId
 from residuum.service.api.reading_options import READING_OPTIONS, reading, remedies_in_query
+from residuum.service.api.responses import Json, page_answer
 from residuum.service.api.signal_body import body_of
-from residuum.service.api.windows import ChannelNames, Points, signal_view
 from residuum.service.machines.adding import known_dbc
 from residuum.service.problems import BadBody, UnsupportedBody
 from residuum.service.services import Running, caller_of
 from residuum.service.settings import Settings
+from residuum.service.views.signal_view import signal_view
 from residuum.service.work.upload_reader import read_upload
 
 router = APIRouter(prefix="/records", tags=["records"], responses=PROBLEMS)

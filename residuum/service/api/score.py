@@ -15,9 +15,9 @@ from residuum.identification.errors import BadInput
 from residuum.library.questions import help_of, kinds, written
 from residuum.library.questions.score import Score
 from residuum.service.api.answers import PROBLEMS, ScoreAnswer
-from residuum.service.api.json_response import BareRoute, finding_json
 from residuum.service.api.parameters import NAME
 from residuum.service.api.reading_options import remedies_in_query, remedies_in_upload
+from residuum.service.api.responses import BareRoute, finding_json
 from residuum.service.api.signal_body import (
     SIGNAL_BODY,
     SIGNAL_QUERY,
@@ -56,11 +56,10 @@ _OF_DIAGNOSERS = [
     *(
         query_parameter(
             name,
-            "number" if float in kinds(hint) else "string",
-            f"{help_of(Score.model_fields[name])} {written(Score.model_fields[name]) or ''}".strip(),
+            "number" if float in kinds(get_type_hints(Score)[name]) else "string",
+            f"{help_of(field)} {written(field) or ''}".strip(),
         )
-        for name, hint in get_type_hints(Score).items()
-        if name in Score.model_fields
+        for name, field in Score.model_fields.items()
     ),
 ]
 _DESCRIBED = SIGNAL_BODY | {"parameters": [_DIAGNOSER, *SIGNAL_QUERY, *_OF_DIAGNOSERS]}

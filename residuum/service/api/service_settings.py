@@ -10,7 +10,7 @@ from fastapi import APIRouter, Response
 from pydantic_core import to_jsonable_python
 
 from residuum.service.api.answers import PROBLEMS
-from residuum.service.api.json_response import Json, StrictRoute
+from residuum.service.api.responses import Json, StrictRoute
 from residuum.service.broker import with_hidden_password
 from residuum.service.services import Running
 from residuum.service.settings import Settings

@@ -11,7 +11,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Sequence
 from functools import lru_cache
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from fastapi import Request
 from starlette.concurrency import run_in_threadpool
@@ -25,10 +25,12 @@ from residuum.identification.units import registry_is_read
 from residuum.service.api.reading_options import READING_OPTIONS, Reading, only_of_files, reading_of
 from residuum.service.machines.adding import known_dbc
 from residuum.service.problems import BadBody, UnsupportedBody
-from residuum.service.services import Services
 from residuum.service.work.npy import read_npy
 from residuum.service.work.signal_formats import FORMATS, few, unpacked_size
 from residuum.service.work.upload_reader import read_body, read_upload
+
+if TYPE_CHECKING:
+    from residuum.service.services import Services
 
 READ_ON_THE_LOOP = 64 * 2**10
 """Bytes up to which a body is read on the event loop: a few milliseconds."""
@@ -228,8 +230,9 @@ def _reading(query_string: bytes, kind: str) -> Reading:
     query = QueryParams(query_string)
     if kind not in _ENDINGS:
         only_of_files(query, kind)
-    if kind != _ARRAY and (given := next((key for key in _OF_ARRAYS if key in query), None)):
-        raise BadBody(f"query, {given}: is an option for .npy arrays; {kind} says it itself")
+    given = [key for key in _OF_ARRAYS if key in query]
+    if kind != _ARRAY and given:
+        raise BadBody(f"query, {given[0]}: is an option for .npy arrays; {kind} says it itself")
     reading = reading_of(query)
     if kind in _ENDINGS and "sample_time" in query:
         return reading._replace(
@@ -250,6 +253,7 @@ async def body_of(request: Request) -> bytes:
 
 
 async def _off_the_loop(body: bytes, read: Callable[..., Record], *arguments: Any) -> Record:
+    # The registry of units is read with the first unit, which takes long: not on the loop.
     short = len(body) <= READ_ON_THE_LOOP and registry_is_read()
     return read(*arguments) if short else await run_in_threadpool(read, *arguments)
 
@@ -258,6 +262,7 @@ def _from_npy(body: bytes, query: bytes, expected: Sequence[Channel]) -> Record:
     array = read_npy(body)
     rows = array.reshape(1, -1) if array.ndim == 1 else array
     header = _description(query)
+    # An array without names has the channels that the diagnoser needs, in its order.
     names = header.names or tuple(
         (channel.name, channel.unit) for channel in expected if channel.required
     )
@@ -294,7 +299,8 @@ def _description(query_string: bytes) -> _Description:
 
 
 def _head(text: str) -> tuple[str, str]:
-    if (match := _HEAD.match(text.strip())) is None:
+    match = _HEAD.match(text.strip())
+    if match is None:
         raise BadBody(f"query, channel {text[:60]!r}: must be 'name [unit]'")
     return match["name"], match["unit"]
 

@@ -14,8 +14,7 @@ from residuum.identification.record import Record
 from residuum.library.questions import part_of
 from residuum.library.questions.simulate import Simulate
 from residuum.service.api.answers import PROBLEMS, JobAnswer
-from residuum.service.api.jobs import accepted
-from residuum.service.api.json_response import StrictRoute
+from residuum.service.api.responses import StrictRoute, accepted
 from residuum.service.services import Running
 from residuum.service.work.analyses import simulate
 

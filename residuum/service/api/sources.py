@@ -11,8 +11,8 @@ from pydantic import BaseModel, Field
 
 from residuum.identification.discrepancy.compile_ahead import is_compiled
 from residuum.service.api.answers import PROBLEMS
-from residuum.service.api.json_response import Json, StrictRoute
 from residuum.service.api.parameters import NAME
+from residuum.service.api.responses import Json, StrictRoute
 from residuum.service.security.access import Caller
 from residuum.service.services import Running, Services, caller_of
 from residuum.service.window_queue.set_aside import SetAside
@@ -45,6 +45,7 @@ def get_status(running: Running, request: Request) -> Response:
     reasons; not told to a key of some sites.
     """
     answer = {**_status(running, caller_of(request)), "compiled": is_compiled()}
+    # Messages that were set aside are of the whole plant.
     if caller_of(request).sites is None:
         answer["set_aside"] = SetAside(running.settings.data).to_json()
     return Json(answer)

@@ -14,10 +14,8 @@ from starlette.concurrency import run_in_threadpool
 from residuum.diagnosis.vibration.spectra import amplitude_spectrum
 from residuum.library.picture import Curve
 from residuum.service.api.answers import PROBLEMS
-from residuum.service.api.json_response import Json, StrictRoute, in_pieces
-from residuum.service.api.parameters import AssetName
-from residuum.service.api.results import Begin, End
-from residuum.service.api.windows import of_one_channel
+from residuum.service.api.parameters import AssetName, SpanBegin, SpanEnd
+from residuum.service.api.responses import Json, StrictRoute, in_pieces, of_one_channel
 from residuum.service.results.month_report import Followed
 from residuum.service.results.parquet_tables import findings_in, span_of
 from residuum.service.services import Running, Services
@@ -42,12 +40,15 @@ ChannelName = Annotated[
     str | None, Query(description="Channel; default: the first.", max_length=200)
 ]
 _MOST_FINDINGS = 5000
+"""Rows of a table of findings; the newest are kept."""
 _MOST_ROWS, _FEWEST = 50_000, 10
 """Rows of all indicators together, and rows that each may have however many there are."""
 
 
 @router.get("/findings")
-def get_findings_table(running: Running, asset: AssetName, begin: Begin, end: End) -> Response:
+def get_findings_table(
+    running: Running, asset: AssetName, begin: SpanBegin, end: SpanEnd
+) -> Response:
     """The newest 5000 findings of a span of time: when, window, verdict, class, reason."""
     newest = deque(
         (_finding_row(stored) for stored in findings_in(running.store, asset, span_of(begin, end))),
@@ -58,7 +59,7 @@ def get_findings_table(running: Running, asset: AssetName, begin: Begin, end: En
 
 @router.get("/indicators")
 def get_indicators_table(
-    running: Running, asset: AssetName, begin: Begin, end: End, points: Points = 1000
+    running: Running, asset: AssetName, begin: SpanBegin, end: SpanEnd, points: Points = 1000
 ) -> Response:
     """Indicators of a span of time with their limits: a row a moment and indicator, some 50 000
     rows at most over all of them.

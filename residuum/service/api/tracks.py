@@ -10,9 +10,8 @@ from fastapi import APIRouter, Request, Response
 from pydantic import BaseModel, Field
 
 from residuum.service.api.answers import PROBLEMS, JobAnswer
-from residuum.service.api.jobs import accepted
-from residuum.service.api.json_response import Json, StrictRoute
 from residuum.service.api.parameters import AssetName
+from residuum.service.api.responses import Json, StrictRoute, accepted
 from residuum.service.machines.adding import model_of_settings, stored_model
 from residuum.service.machines.tracks import (
     follow,
@@ -31,6 +30,7 @@ router = APIRouter(
 
 Name = Annotated[str, Field(min_length=1, max_length=200)]
 _HEALTHY = 3
+"""Healthy windows that a picture is held beside."""
 
 
 class Limits(BaseModel, extra="forbid"):
@@ -104,6 +104,7 @@ def _healthy(running: Services, asset: str, but: int) -> list[Any]:
     """
     judged = [f.window for f in running.store.findings(asset, limit=50, verdict="healthy").items]
     healthy: list[Any] = []
+    # The newest first; the window itself is not held beside itself.
     for number in judged or list(running.store.recorded_windows(asset))[::-1]:
         if number != but and len(healthy) < _HEALTHY:
             try:

@@ -14,13 +14,11 @@ from pydantic import BaseModel, Field
 from residuum.library.questions import part_of
 from residuum.library.questions.residual import DesignResidual, RunResidual
 from residuum.library.questions.uncertainty import Uncertainty, weight_for
-from residuum.service.api.analyses import RecordNumbers
+from residuum.service.api.analyses import RecordNumbers, content_of
 from residuum.service.api.answers import PROBLEMS, JobAnswer
-from residuum.service.api.jobs import accepted
-from residuum.service.api.json_response import Json, StrictRoute
 from residuum.service.api.parameters import ModelName
-from residuum.service.services import Running, Services
-from residuum.service.store import Conflict
+from residuum.service.api.responses import Json, StrictRoute, accepted
+from residuum.service.services import Running
 from residuum.service.views.signal_view import read_identified, view_residual
 from residuum.service.work.worker_pool import parts_of
 
@@ -29,7 +27,9 @@ router = APIRouter(
 )
 
 _POINTS = 200
-_LOWEST = 1e-3  # of the Nyquist frequency
+"""Frequencies that are drawn."""
+_LOWEST = 1e-3
+"""The lowest of them, as a share of the Nyquist frequency."""
 
 
 class UncertaintyAnswer(BaseModel):
@@ -92,12 +92,14 @@ def get_uncertainty(
     asked: Annotated[StoredUncertainty, Query()],
 ) -> Response:
     """The uncertainty weight of an identified model, above the models that its posterior allows."""
-    identified = read_identified(_content(running, model, asked.version))
+    identified = read_identified(content_of(running, model, "identified", asked.version))
     uncertainty = weight_for(identified, asked, asked.form, asked.seed)
     omega = 2 * np.pi * np.geomspace(_LOWEST, 1.0, _POINTS) * 0.5 / identified.sample_time
+    # G(e^{iω Ts}) = Σ g_k e^{−iω Ts k}; the drawn responses reach further than the model's own.
     turn = np.exp(-1j * np.outer(omega * identified.sample_time, np.arange(identified.reach)))
     drawn = identified.sample_longer(asked.samples, 0) @ turn.T
     centre = turn[:, : identified.order] @ identified.impulse_response
+    # What the error is relative to, by its form.
     below = {"multiplicative": centre, "additive": np.ones(1), "inverse-multiplicative": drawn}[
         asked.form
     ]
@@ -123,7 +125,7 @@ def view(running: Running, model: ModelName, asked: ResidualView) -> Response:
     """Design a residual generator and run it: residual, statistic and threshold over time, and its
     operating characteristic.
     """
-    content = _content(running, model, asked.version)
+    content = content_of(running, model, "identified", asked.version)
     healthy = [parts_of(running.store.record_samples(number)) for number in asked.healthy]
     record = parts_of(running.store.record_samples(asked.record))
     arguments = (
@@ -135,10 +137,3 @@ def view(running: Running, model: ModelName, asked: ResidualView) -> Response:
         part_of(asked, RunResidual),
     )
     return accepted(running.jobs.submit("residual-view", view_residual, *arguments))
-
-
-def _content(running: Services, model: str, version: int | None) -> bytes:
-    actual = running.store.model_versions(model)[0].kind
-    if actual != "identified":
-        raise Conflict(f"model {model!r}: is a {actual} model; this needs an identified one")
-    return running.store.model_content(model, version)

@@ -19,9 +19,8 @@ from residuum.diagnosis.vibration.spectra import band_envelope, kurtogram
 from residuum.identification.errors import BadInput, BadRecord
 from residuum.identification.record import Record
 from residuum.service.api.answers import PROBLEMS
-from residuum.service.api.json_response import Json, StrictRoute
 from residuum.service.api.parameters import AssetName, WindowId
-from residuum.service.api.windows import of_one_channel
+from residuum.service.api.responses import Json, StrictRoute, of_one_channel
 from residuum.service.services import Running, Services
 from residuum.service.store import Conflict, NotFound, StoredWindow
 from residuum.service.views.signal_view import extremes
@@ -40,7 +39,9 @@ Feature = Annotated[str | None, Query(description="Feature across or up.", max_l
 Largest = Annotated[float | None, Query(description="Where the plane ends.", gt=0, lt=1e12)]
 Judge = TypeVar("Judge", bound=Diagnoser)
 _DEEPEST = 6
+"""Level of the narrowest bands of a kurtogram."""
 _MOST_POINTS = 2000
+"""Of a curve."""
 
 
 class KurtogramAnswer(BaseModel):
@@ -156,7 +157,8 @@ def _envelope(
     frequency, amplitude = band_envelope(record[name], record.sampling_rate, low, high).spectrum(
         "amplitude"
     )
-    reduced = extremes(amplitude[1:], _MOST_POINTS)  # without the mean
+    # Line 0 is the envelope's mean, which tells nothing of its rhythm.
+    reduced = extremes(amplitude[1:], _MOST_POINTS)
     step = float(frequency[1] - frequency[0]) * reduced.samples if len(frequency) > 1 else 0.0
     answer = {
         "channel": name,
@@ -186,6 +188,8 @@ def _residual(running: Services, asset: str, window: int, judge: RobustResidual)
         record.in_unit(judge.input, model.input_unit),
         record.in_unit(judge.output, model.output_unit),
     )
+    # From rest, as the window was judged: the first samples fill the filters' memory, and are not
+    # valid.
     monitor = judge.stream()
     signals, bank = monitor.process(u, y)
     residual, statistic = (

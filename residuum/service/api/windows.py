@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-import numpy as np
 from fastapi import APIRouter, Header, Query, Request, Response
 from starlette.concurrency import run_in_threadpool
 
@@ -16,7 +14,6 @@ from residuum.diagnosis.vibration.spectra import amplitude_spectrum
 from residuum.identification.errors import BadInput
 from residuum.identification.record import Record
 from residuum.identification.record_formats.npz import write_npz_in_pieces
-from residuum.nearest_names import known_names
 from residuum.service.api.answers import (
     PROBLEMS,
     PageOf,
@@ -25,10 +22,17 @@ from residuum.service.api.answers import (
     StoredWindowAnswer,
     WindowAnswer,
 )
-from residuum.service.api.json_response import Json, page_answer
-from residuum.service.api.parameters import AssetName, Cursor, Limit, WindowId
+from residuum.service.api.parameters import (
+    AssetName,
+    ChannelNames,
+    Cursor,
+    Limit,
+    Points,
+    WindowId,
+    known_channels,
+)
 from residuum.service.api.reading_options import remedies_in_query
-from residuum.service.api.results import file_answer
+from residuum.service.api.responses import Json, file_answer, of_one_channel, page_answer
 from residuum.service.api.signal_body import (
     READ_ON_THE_LOOP,
     SIGNAL_BODY,
@@ -38,22 +42,10 @@ from residuum.service.api.signal_body import (
 )
 from residuum.service.machines.baselines import deciding_method, newest_baseline
 from residuum.service.services import Running, Services
-from residuum.service.store import NotFound, ReadInPieces, StoredWindow
-from residuum.service.views.signal_view import extremes, extremes_of_pieces, stretch
+from residuum.service.store import NotFound, StoredWindow
+from residuum.service.views.signal_view import extremes, signal_view
 
 router = APIRouter(prefix="/assets/{asset}/windows", tags=["windows"], responses=PROBLEMS)
-
-ChannelNames = Annotated[
-    list[str] | None,
-    Query(description="Channels to show (default: all).", alias="channel", max_length=64),
-]
-_MOST_SHOWN, _FEWEST = 100_000, 10
-"""Intervals of all channels together, and of each: written as JSON in some 20 ms, in which nothing
-else is done.
-"""
-_NEXT = 1e-6  # of a sample: a time that is printed as a sample's own means that sample
-
-Points = Annotated[int, Query(description="Most intervals to show.", ge=10, le=20_000)]
 
 
 @router.post("", status_code=201, response_model=StoredWindowAnswer, openapi_extra=SIGNAL_BODY)
@@ -84,6 +76,7 @@ async def add_window(
     if deciding is None:
         deciding = await run_in_threadpool(deciding_method, running.store, asset, judge.name)
     judge = judge if deciding is None else judge.with_settings(method=deciding)
+    # Query and body together are the request: the same key with another one is refused.
     digest = await _digest(request.url.query.encode(), await body_of(request))
     with remedies_in_query(kind_of(request)):
         record = await record_of(request, judge.channels)
@@ -147,6 +140,7 @@ async def get_signal(
             }
         )
 
+    # Piece by piece: a window of 64 MiB would cost its size for its picture.
     return await running.listing(view)
 
 
@@ -175,22 +169,6 @@ async def get_spectrum(
     )
 
 
-async def of_one_channel(
-    running: Services,
-    asset: str,
-    window: int,
-    channel: str | None,
-    make: Callable[[StoredWindow, str], Response],
-) -> Response:
-    """What `make(window, channel)` makes of a channel's samples (None: the first), when there is
-    memory for it.
-    """
-    known = await run_in_threadpool(running.store.window, asset, window)
-    name = channel if channel is not None else next(iter(known.units))
-    known_channels([name], known.units)
-    return await running.sampling(known.size_bytes // max(1, len(known.units)), make, known, name)
-
-
 def _spectrum(
     running: Services, window: StoredWindow, name: str, points: int, highest: float | None
 ) -> Response:
@@ -209,57 +187,6 @@ def _spectrum(
         "resolution": spectrum.resolution,
     }
     return Json(answer)
-
-
-def signal_view(
-    record: ReadInPieces, points: int, begin: float, end: float | None
-) -> dict[str, Any]:
-    """The `SignalAnswer` of a stretch of a record, without the window's number; BadInput when the
-    stretch is empty.
-    """
-    first = min(int(begin / record.sample_time + _NEXT), record.n)
-    last = record.n if end is None else min(record.n, int(end / record.sample_time + _NEXT) + 1)
-    if last <= first:
-        raise BadInput(
-            f"query, from and to: no sample in {begin} … {end} s; the window lasts"
-            f" {record.n * record.sample_time:.6g} s"
-        )
-    points = min(points, max(_FEWEST, _MOST_SHOWN // len(record.units)))
-    samples = max(1, -(-(last - first) // points))
-    reduced = samples > 2
-    channels = {
-        name: {
-            "unit": unit,
-            **_values(stretch(record.pieces(name), first, last), last - first, points, reduced),
-        }
-        for name, unit in record.units.items()
-    }
-    interval = record.sample_time * (samples if reduced else 1)
-    return {
-        "start": first * record.sample_time,
-        "interval": interval,
-        "reduced": reduced,
-        "n": last - first,
-        "channels": channels,
-    }
-
-
-def _values(pieces: Iterator[Any], n: int, points: int, reduced: bool) -> dict[str, Any]:
-    if not reduced:
-        return {"values": np.concatenate(list(pieces))}
-    envelope = extremes_of_pieces(pieces, n, points)
-    return {"minimum": envelope.minimum, "maximum": envelope.maximum}
-
-
-def known_channels(channels: list[str] | None, units: Any) -> list[str] | None:
-    """The channels (None: all) of a window with these units; NotFound for one that it has not."""
-    for name in channels or ():
-        if name not in units:
-            raise NotFound(
-                f"channel {name[:60]!r}: the window has none of this name;"
-                f" {known_names(name, units, 'there are')}"
-            )
-    return channels
 
 
 def _judge(running: Services, asset: str, diagnoser: str | None) -> Diagnoser:
@@ -288,6 +215,7 @@ async def _digest(query: bytes, body: bytes) -> str:
 def _store(
     running: Services, asset: str, record: Record, judge: Diagnoser, key: str | None, digest: str
 ) -> Response:
+    # A repeated request is answered before its window is judged again.
     window = None if key is None else running.store.window_with_key(asset, key, digest)
     if window is None:
         window = running.store.add_window(asset, record, judge.score(record), key, digest)

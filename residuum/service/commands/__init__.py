@@ -32,10 +32,10 @@ def as_option(field: str, value: object = None) -> str:
     option = " ".join([f"--{'unit' if name == 'units' else name.replace('_', '-')}", *inside])
     if value is None or value is True:
         return option
-    said = " ".join(f"{option} {shlex.quote(text)}" for text in as_texts(field, value))
-    return (
-        f"`residuum inspect FILE {said} --out FILE.mapping.yaml`" if field in _OF_INSPECT else said
-    )
+    words = " ".join(f"{option} {shlex.quote(text)}" for text in as_texts(field, value))
+    if field in _OF_INSPECT:
+        return f"`residuum inspect FILE {words} --out FILE.mapping.yaml`"
+    return words
 
 
 COMMANDS: dict[str, tuple[str, str]] = {

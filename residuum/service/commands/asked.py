@@ -5,7 +5,7 @@ from __future__ import annotations
 import inspect
 import re
 import warnings
-from collections.abc import Callable, Container
+from collections.abc import Callable, Container, Iterable
 from typing import Annotated, Any, get_origin, get_type_hints
 
 import typer
@@ -56,21 +56,22 @@ def asks(without: Container[str] = ()) -> Callable[[Callable[..., Any]], Callabl
             if field not in without
         }
 
-        def made(texts: dict[str, Any]) -> Question:
+        def question_of(texts: dict[str, Any]) -> Question:
+            # Old spellings are told as a command tells anything, not as a warning of Python with
+            # the line of the code.
             with warnings.catch_warnings(record=True) as caught:
                 warnings.simplefilter("always")
-                asked = question.of(
-                    {
-                        field: _read(question, field, value)
-                        for field, value in texts.items()
-                        if value not in (None, [])
-                    }
-                )
+                given = {
+                    field: _read(question, field, value)
+                    for field, value in texts.items()
+                    if value not in (None, [])
+                }
+                asked = question.of(given)
             for warning in caught:
                 progress(f"--{warning.message}")
             return asked
 
-        return expanded(function, name, options, made)
+        return expanded(function, name, options, question_of)
 
     return command
 
@@ -84,18 +85,23 @@ def _read(question: type[Question], name: str, value: Any) -> Any:
     taken = _taken(question, name)
     if taken == _NAMES:
         return [part.strip() for text in value for part in text.split(",")]
+    # a field that takes one text or several: an answer shows one as it was written
     if taken == list[str] and len(value) == 1 and str in kinds(get_type_hints(question)[name]):
         return value[0]
-    if get_origin(taken) is not dict:
-        return value
-    form, read = _METAVARS[taken] or "", {}
-    for text in value:
-        parts = re.fullmatch(re.sub("[A-Z]+", "(.+?)", form), text)
+    return _mapping(value, name, _METAVARS[taken] or "") if get_origin(taken) is dict else value
+
+
+def _mapping(texts: Iterable[str], name: str, form: str) -> dict[str, str | list[str]]:
+    """Texts of a form, of which the first word is the key, as a mapping."""
+    pattern = re.sub("[A-Z]+", "(.+?)", form)
+    mapping: dict[str, str | list[str]] = {}
+    for text in texts:
+        parts = re.fullmatch(pattern, text)
         if parts is None:
             raise BadInput(repr(text), name, f"must have the form {form}")
         key, *values = parts.groups()
-        read[key] = values[0] if len(values) == 1 else values
-    return read
+        mapping[key] = values[0] if len(values) == 1 else values
+    return mapping
 
 
 def _taken(question: type[Question], name: str) -> Any:

@@ -11,7 +11,7 @@ from residuum.identification.kernel_based.multivariable import is_multivariable
 from residuum.library import control
 from residuum.library.answers.control_design import design_text
 from residuum.library.answers.multivariable_control import design_text as multivariable_text
-from residuum.library.multivariable_control import design_multivariable
+from residuum.library.control import design_multivariable
 from residuum.library.questions.control_design import DesignController
 from residuum.library.whole_file import write_whole
 from residuum.nearest_names import known_names

@@ -55,8 +55,9 @@ _SPARE = 512 * _MIB
 to come.
 """
 _PATIENCE = 3.0
-_OPCUA_PORT = 4840
 """How long a device may take to accept a connection [s]."""
+_OPCUA_PORT = 4840
+"""Of an address that says none: the port registered for OPC UA."""
 
 
 class Wrong(Exception):
@@ -75,8 +76,11 @@ class Check:
     @property
     def line(self) -> str:
         """As it is printed: what is right with a remark is neither `ok` nor wrong."""
-        word = "WRONG" if not self.ok else "NOTE" if self.remark else "ok"
-        return f"{word:<5} {self.name:<15} {self.says}{f'; {self.remark}' if self.remark else ''}"
+        word = "NOTE" if self.remark else "ok"
+        if not self.ok:
+            word = "WRONG"
+        remark = f"; {self.remark}" if self.remark else ""
+        return f"{word:<5} {self.name:<15} {self.says}{remark}"
 
 
 @app.command()
@@ -126,10 +130,12 @@ def _sweep(settings: Settings) -> None:
     """Delete what no row names; BadInput where folder and database do not belong together, or this
     program has not started.
     """
-    if (database := _existing(settings)) is None:
+    database = _existing(settings)
+    if database is None:
         raise BadInput("--sweep: there is no database yet; nothing was deleted")
     try:
         database.refuse_other_revision()
+        # Beside another database no row would name any block, and all would go.
         claim(settings.data, database)
     except StorageUnavailable as error:
         raise BadInput(f"--sweep: {error}; nothing was deleted") from None
@@ -205,8 +211,9 @@ def _database(settings: Settings) -> str:
                 " service migrates it"
             )
         with database.write():
-            """It can be written."""
-        if (damage := database.damage()) is not None:
+            pass  # it can be written
+        damage = database.damage()
+        if damage is not None:
             raise Wrong(f"is damaged: {damage}; restore a backup")
         return f"{database.url.get_backend_name()}, can be written, schema at revision {revision}"
     finally:
@@ -273,6 +280,7 @@ def _signal_blocks(settings: Settings, sample: int) -> str | tuple[str, str]:
     missing = [block.path for block in references if not (folder / block.path).is_file()]
     if missing:
         raise Wrong(f"{len(missing)} of {len(references)} are missing, the first: {missing[0]}")
+    # Spread evenly over all of them, rounded so that at least one is looked at.
     looked_at = references[:: max(1, -(-len(references) // sample))]
     for block in looked_at:
         Blocks(folder).verify(block)
@@ -293,8 +301,10 @@ def _disk(settings: Settings) -> str:
         for parent in (settings.data.resolve(), *settings.data.resolve().parents)
         if parent.is_dir()
     )
+    # The mode of a folder does not tell: a file system may be read-only.
     with tempfile.TemporaryFile(dir=folder) as probe:
         probe.write(b"probe")
+    # What is kept already needs no more room.
     held = sum(file.stat().st_size for file in settings.data.glob("blocks/*/*.block"))
     needed = max(0, settings.keep_bytes - held) + _SPARE
     free = shutil.disk_usage(folder).free
@@ -335,38 +345,42 @@ def _buses(settings: Settings) -> list[Check]:
 
 
 def _bus(source: SourceSettings) -> str | tuple[str, str]:
-    if source.kind == "can":
-        messages = read_dbc(source.map_file)
-        read = streamed(messages)
-        open_bus(source.channel).close()
-        remarks = [f"{layout.name}: {layout.remark}" for layout in read if layout.remark] + list(
-            messages.unusable.values()
-        )
-        says = (
-            f"{source.channel} can be opened; {source.map} streams"
-            f" {', '.join(layout.name for layout in read)}"
-        )
-        silent = [
-            f"{layout.name} {layout.why_no_stream}"
-            for layout in messages.values()
-            if layout.why_no_stream
-        ]
-        left = f"; of {len(silent)} not streamed the first: {silent[0]}" if silent else ""
-        return says + left, "; ".join(remarks)
-    if source.kind == "sparkplug":
-        metrics = read_metric_map(source.map_file)
-        broker = metrics.entered(source.channel)
-        _let_in(broker)
-        return (
-            f"{broker.host}:{broker.port} lets us in; {source.map} has {len(metrics.streams)}"
-            f" streams of {metrics.node}"
-        )
-    if source.kind == "opcua":
-        streams = len(read_node_map(source.map_file).streams)
-        url = urllib.parse.urlsplit(source.channel)
-        host, port = url.hostname or "", url.port or _OPCUA_PORT
-    else:
-        return _modbus(source)
+    return _BUSES[source.kind](source)
+
+
+def _can(source: SourceSettings) -> tuple[str, str]:
+    messages = read_dbc(source.map_file)
+    layouts = streamed(messages)
+    open_bus(source.channel).close()
+    remarks = [f"{layout.name}: {layout.remark}" for layout in layouts if layout.remark]
+    remarks += messages.unusable.values()
+    names = ", ".join(layout.name for layout in layouts)
+    says = f"{source.channel} can be opened; {source.map} streams {names}"
+    silent = [
+        f"{layout.name} {layout.why_no_stream}"
+        for layout in messages.values()
+        if layout.why_no_stream
+    ]
+    if silent:
+        says += f"; of {len(silent)} not streamed the first: {silent[0]}"
+    return says, "; ".join(remarks)
+
+
+def _sparkplug(source: SourceSettings) -> str:
+    metrics = read_metric_map(source.map_file)
+    broker = metrics.entered(source.channel)
+    _let_in(broker)
+    return (
+        f"{broker.host}:{broker.port} lets us in; {source.map} has {len(metrics.streams)}"
+        f" streams of {metrics.node}"
+    )
+
+
+def _opcua(source: SourceSettings) -> str:
+    """A connection alone: whether the nodes are there shows when the service reads them."""
+    streams = len(read_node_map(source.map_file).streams)
+    url = urllib.parse.urlsplit(source.channel)
+    host, port = url.hostname or "", url.port or _OPCUA_PORT
     address = f"{host}:{port}"
     try:
         socket.create_connection((host, port), timeout=_PATIENCE).close()
@@ -396,6 +410,14 @@ def _modbus(source: SourceSettings) -> str | tuple[str, str]:
     return f"{address} answers; {source.map}: {len(readings)} channels read", "; ".join(remarks)
 
 
+_BUSES: dict[str, Callable[[SourceSettings], str | tuple[str, str]]] = {
+    "can": _can,
+    "modbus": _modbus,
+    "opcua": _opcua,
+    "sparkplug": _sparkplug,
+}
+
+
 def _broker(settings: Settings) -> tuple[str, str]:
     address = settings.broker
     _let_in(address)
@@ -423,7 +445,8 @@ def _let_in(address: BrokerAddress) -> None:
 def _compiled_code() -> str:
     places = {"loops": "NUMBA_CACHE_DIR", "kernels": "RESIDUUM_CACHE"}
     for name, variable in places.items():
-        if (why := why_not_kept(name, variable)) is not None:
+        why = why_not_kept(name, variable)
+        if why is not None:
             raise Wrong(
                 f"{name} are not kept: {why}; set {variable} to a folder of this user alone"
             )

@@ -8,7 +8,7 @@ from residuum.service.commands.fmu_process import model_for
 from residuum.service.commands.own_catalogue import OwnCatalogue
 from residuum.service.commands.plot_option import Plot, check_plot, drawn
 from residuum.service.commands.records import ModelSource, Reading, RecordFiles, reads
-from residuum.service.commands.report import AsJson, report, told
+from residuum.service.commands.report import AsJson, report, tell_progress
 from residuum.service.work.worker_pool import keep_large_arrays
 
 app = typer.Typer(add_completion=False)
@@ -32,6 +32,6 @@ def explain_command(
     channels = reading.signals
     given = model_for(model)
     keep_large_arrays()
-    explanation = given.explain(loaded, map=channels, progress=told, **asked.model_dump())
+    explanation = given.explain(loaded, map=channels, progress=tell_progress, **asked.model_dump())
     told_of = drawn(plot, [explanation], f"What {model} lacks")
     report(explanation.to_dict() | told_of, str(explanation), as_json=as_json)

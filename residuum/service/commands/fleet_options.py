@@ -4,7 +4,7 @@ the report.
 
 import os
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, NamedTuple
 
 import typer
 
@@ -41,43 +41,46 @@ Scheduler = Annotated[
 ]
 
 _STEPS = 20
+"""How often a run tells how far it is."""
 
 
-def run_over_fleet(
-    source: FleetSource,
-    work: Work,
-    results: Path,
-    *,
-    workers: int | None,
-    scheduler: str | None,
-    as_json: bool,
-    counts: dict[str, str],
-) -> None:
+class FleetRun(NamedTuple):
+    """Where a run over a fleet writes its results, who works, and how it reports."""
+
+    results: Path
+    workers: int | None
+    scheduler: str | None
+    as_json: bool
+
+
+def run_over_fleet(source: FleetSource, work: Work, run: FleetRun, counts: dict[str, str]) -> None:
     """Do the work for every record of a fleet and report how many; `counts` maps a name to a dotted
     place and value.
     """
-    check_output_file(results)
-    files = [item for item in source.items() if item != str(results)]
+    check_output_file(run.results)
+    # The results may stand in the folder of the records, and are none.
+    files = [item for item in source.items() if item != str(run.results)]
     if not files:
         raise BadInput(f"{source}: holds no record")
-    many = workers or os.cpu_count() or 1
-    told = 0
+    workers = run.workers or os.cpu_count() or 1
+    steps_told = 0
 
     def tell(done: int, all_files: int) -> None:
-        nonlocal told
-        if done * _STEPS // all_files > told:
-            told = done * _STEPS // all_files
+        nonlocal steps_told
+        if done * _STEPS // all_files > steps_told:
+            steps_told = done * _STEPS // all_files
             progress(f"{done} of {all_files} files")
 
-    with open_executor(many, scheduler) as executor:
-        answers = run_fleet(files, work, executor, results, workers=many, tell=tell)
+    with open_executor(workers, run.scheduler) as executor:
+        answers = run_fleet(files, work, executor, run.results, workers=workers, tell=tell)
     summary = {"files": len(answers), "refused": sum("refused" in answer for answer in answers)}
     summary |= {
         name: sum(_at(answer, *place.split("=")) for answer in answers)
         for name, place in counts.items()
     }
     says = ", ".join(f"{count} {name}" for name, count in summary.items())
-    report(summary | {"results": str(results)}, f"{says}; written to {results}", as_json=as_json)
+    answer = summary | {"results": str(run.results)}
+    report(answer, f"{says}; written to {run.results}", as_json=run.as_json)
 
 
 def _at(result: dict[str, Any], place: str, wanted: str = "") -> bool:

@@ -38,6 +38,7 @@ def run_apart(arguments: list[str], fmu: str) -> int:
         The FMU cannot run on this platform (said before anything of it is loaded), or it ended the
         process.
     """
+    # Refused here where it cannot run on this platform: nothing of it is loaded for that.
     named(fmu)
     done = subprocess.run(
         [sys.executable, "-m", "residuum", *arguments],
@@ -46,6 +47,7 @@ def run_apart(arguments: list[str], fmu: str) -> int:
         check=False,
     )
     sys.stdout.write(done.stdout.decode("utf-8", "replace"))
+    # A negative status is the signal that ended the process.
     if done.returncode < 0:
         how = signal.Signals(-done.returncode).name
         raise BadModel(

@@ -11,7 +11,7 @@ from residuum.service.commands.asked import asks
 from residuum.service.commands.output_file import check_output_file
 from residuum.service.commands.plot_option import Plot, check_plot, drawn
 from residuum.service.commands.records import Reading, RecordFiles, reads
-from residuum.service.commands.report import AsJson, report, told
+from residuum.service.commands.report import AsJson, report, tell_progress
 
 app = typer.Typer(add_completion=False)
 
@@ -34,7 +34,7 @@ def identify(
         check_output_file(out)
     check_plot(plot)
     loaded = reading.named(records)
-    plant = identified(loaded, asked, told)
+    plant = identified(loaded, asked, tell_progress)
     if out is not None:
         plant.save(out)
     title = f"{', '.join(asked.outputs)} identified"

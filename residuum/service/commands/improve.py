@@ -15,7 +15,7 @@ from residuum.service.commands.output_file import check_output_file
 from residuum.service.commands.own_catalogue import OwnCatalogue
 from residuum.service.commands.plot_option import Plot, check_plot, drawn
 from residuum.service.commands.records import ModelSource, Reading, RecordFiles, reads
-from residuum.service.commands.report import AsJson, report, told
+from residuum.service.commands.report import AsJson, report, tell_progress
 from residuum.service.work.worker_pool import keep_large_arrays
 
 app = typer.Typer(add_completion=False)
@@ -47,7 +47,7 @@ def improve_command(
     loaded = reading.for_model(records)
     keep_large_arrays()
     improvement = model_for(model).improve(
-        loaded, map=reading.signals, progress=told, **asked.model_dump()
+        loaded, map=reading.signals, progress=tell_progress, **asked.model_dump()
     )
     file = str(out) if improvement.found.helps else None
     if file:

@@ -36,6 +36,7 @@ from residuum.service.commands.report import AsJson, report
 # no unit, the first rows.
 
 _FEWEST = 30
+"""Samples below which nothing is said of error codes: too few tell what lies far beside."""
 _Column = tuple[int, str, str, int]
 """Its number, name and unit, and how many of its samples are missing."""
 
@@ -60,6 +61,7 @@ def _of_record(file: Path, record: Record) -> dict[str, Any]:
         "even": True,
     }
     samples |= {"gaps": [], "gap_count": 0, "reordered": 0, "duplicates": 0}
+    # Time and every channel, as a file has its columns.
     rows = first_rows(record.time, np.stack([record[name] for name in record.names]))
     signals = {name: np.asarray(record[name]) for name in record.names}
     shown = _shown(file, columns, samples, rows) | {
@@ -118,8 +120,9 @@ def _shown(
 
 def _text(shown: dict[str, Any]) -> str:
     samples, columns = shown["samples"], shown["columns"]
-    lines = [f"{shown['file']}: {_rows(samples)}, {len(columns)} channels"]
-    lines[0] += "" if samples["duplicates"] else f", {samples['rate']:.6g} Hz"
+    # Where stamps stand several times, there is no rate before it is said what becomes of them.
+    rate = "" if samples["duplicates"] else f", {samples['rate']:.6g} Hz"
+    lines = [f"{shown['file']}: {_rows(samples)}, {len(columns)} channels{rate}"]
     lines += [
         f"  {guess['what']}: {guess['value']!r} ({guess['reason']})" for guess in shown["guesses"]
     ]
@@ -129,16 +132,26 @@ def _text(shown: dict[str, Any]) -> str:
         f" missing{_span(shown, c)}"
         for c in columns
     ]
-    if bare := shown["without_unit"]:
-        how = "--unit COLUMN=UNIT" + (
-            ", or the mapping, says it" if shown["mapping"] else " says it to the commands"
-        )
-        lines.append(f"  without a unit: {', '.join(bare)}; {how}")
-    for row in shown["first_rows"]:
-        lines.append(
-            "  " + ", ".join("missing" if value is None else f"{value:.12g}" for value in row)
-        )
-    lines += [
+    lines += _without_unit(shown)
+    lines += [f"  {_row_text(row)}" for row in shown["first_rows"]]
+    return "\n".join([*lines, *_steps(samples)])
+
+
+def _without_unit(shown: dict[str, Any]) -> list[str]:
+    if not shown["without_unit"]:
+        return []
+    way_on = ", or the mapping, says it" if shown["mapping"] else " says it to the commands"
+    names = ", ".join(shown["without_unit"])
+    return [f"  without a unit: {names}; --unit COLUMN=UNIT{way_on}"]
+
+
+def _row_text(row: Sequence[float | None]) -> str:
+    return ", ".join("missing" if value is None else f"{value:.12g}" for value in row)
+
+
+def _steps(samples: dict[str, Any]) -> list[str]:
+    """What is wrong with the steps of time, if anything."""
+    lines = [
         f"  gap of {gap['seconds']:.6g} s after row {gap['after_row']}: {gap['looks_like']}"
         for gap in samples["gaps"]
     ]
@@ -146,7 +159,7 @@ def _text(shown: dict[str, Any]) -> str:
         lines.append(f"  {samples['gap_count']} gaps in all")
     if not samples["even"]:
         lines.append("  steps are uneven: the commands take it with --resample")
-    return "\n".join(lines)
+    return lines
 
 
 def _range(signal: npt.NDArray[np.floating]) -> list[float] | None:
@@ -166,10 +179,13 @@ def _error_codes(
     """What sensors write where they have no value, among rows far beside their neighbours."""
     says = []
     for name, signal in signals.items():
+        # Among few samples everything is far beside its neighbours.
         if np.isfinite(signal).sum() < _FEWEST:
             continue
         values = np.asarray(signal, dtype=float)
         rows, _, _ = far_beside(values, units[name])
+        # Twelve rows of 600 that read −127 or 85 once made a noise of 18 °C, beside which no error
+        # of the model could be seen.
         coded = rows[is_mark(values[rows]) | (values[rows] == POWER_ON)].tolist()
         if coded:
             codes = sorted({float(values[row]) for row in coded})
@@ -252,9 +268,7 @@ def inspect_command(
     is left out, the first rows. Of a CAN log with its DBC file, or a Modbus device with its
     register map, show what is on the wire and what they make of it.
     """
-    time_column = (
-        mapped.removeprefix(_TIME) if mapped is not None and mapped.startswith(_TIME) else None
-    )
+    time_column = _time_column(mapped)
     if file.startswith("modbus:") or (mapped is not None and time_column is None):
         report(*_device(file, None if mapped is None else Path(mapped)), as_json=as_json)
     elif dbc is not None or is_can_log(Path(file)):
@@ -275,6 +289,13 @@ def inspect_command(
             "heads": [] if names is None else names.split(","),
         }
         _logger_file(Path(file), out, given, resample=resample, as_json=as_json)
+
+
+def _time_column(mapped: str | None) -> str | None:
+    """The column of times that `--map` names, where it names no register map."""
+    if mapped is None or not mapped.startswith(_TIME):
+        return None
+    return mapped.removeprefix(_TIME)
 
 
 def _device(address: str, register_map: Path | None) -> tuple[dict[str, Any], str]:

@@ -93,6 +93,7 @@ async def _live(device: Device, name: str, can: str | None, with_parent: bool) -
     loop = asyncio.get_running_loop()
     for number in (signal.SIGINT, signal.SIGTERM):
         loop.add_signal_handler(number, stopped.set)
+    # A parent that was killed closes its end of the pipe, whatever else it could not do.
     if with_parent:
         threading.Thread(target=_until_input_closes, args=(loop, stopped), daemon=True).start()
 
@@ -110,6 +111,7 @@ async def _live(device: Device, name: str, can: str | None, with_parent: bool) -
 
 def _until_input_closes(loop: asyncio.AbstractEventLoop, stopped: asyncio.Event) -> None:
     sys.stdin.buffer.read()
+    # An event of asyncio is set on its own loop only.
     loop.call_soon_threadsafe(stopped.set)
 
 

@@ -45,6 +45,7 @@ def machine_check(
         not run yet.
     """
     try:
+        # Made for its checks alone: it refuses settings that do not fit together.
         MachineLine(machine, lambda *_: lambda: None, lambda _: None)
         bus = bus_signals(machine)
     except BadInput as error:
@@ -66,32 +67,36 @@ def _model_lacks(machine: MachineSettings, bus: Mapping[str, str]) -> list[str]:
         model = load_model(machine.model)
     except BadInput as error:
         return [f"model: {error}"]
-    guesses, lacks, outputs = guessed_channels(model, bus), [], 0
+    guesses, lacks = guessed_channels(model, bus), []
+    output_on_bus = False
     for name, (unit, role, needed) in model_signals(model).items():
         channel = machine.channels.get(name, name)
-        if channel in bus and not compatible(bus[channel], unit):
+        if channel not in bus:
+            if needed:
+                lacks.append(_not_on_bus(name, role, bus, guesses))
+        elif not compatible(bus[channel], unit):
             lacks.append(
                 f"channels, {name}: the model has it in {unit}, the bus has {channel} in"
                 f" {bus[channel] or 'no unit'}"
             )
-        elif channel in bus:
-            outputs += role == "output"
-        elif needed:
-            hint = (
-                f"; perhaps it is {guesses[name]}"
-                if name in guesses
-                else f"; {known_names(name, bus, 'the bus has')}"
-            )
-            lacks.append(
-                f"channels, {name}: the model needs this {role}, the bus has no signal of this"
-                f" name{hint}"
-            )
-    if not outputs:
+        else:
+            output_on_bus |= role == "output"
+    # A single output may be missing, not all of them: a model is judged by its outputs.
+    if not output_on_bus:
         lacks.append(
             f"channels: none of the model's outputs is on the bus ({', '.join(model.outputs)}); map"
             " at least one"
         )
     return lacks
+
+
+def _not_on_bus(name: str, role: str, bus: Mapping[str, str], guesses: Mapping[str, str]) -> str:
+    hint = known_names(name, bus, "the bus has")
+    if name in guesses:
+        hint = f"perhaps it is {guesses[name]}"
+    return (
+        f"channels, {name}: the model needs this {role}, the bus has no signal of this name; {hint}"
+    )
 
 
 def _state(machine: MachineSettings, baseline: tuple[bool, int] | None) -> str:

@@ -21,6 +21,7 @@ app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
 
 Url = Annotated[str, typer.Argument(metavar="URL", help="For example opc.tcp://192.168.0.10:4840.")]
 _TIMEOUT = 5.0
+"""Seconds in which a server must answer one request."""
 
 
 @app.command()
@@ -107,6 +108,7 @@ def _library() -> Any:
 
 async def _answered(url: str, asked: Any) -> Any:
     try:
+        # All requests together: a server that answers each just in time must not take for ever.
         return await asyncio.wait_for(asked, 12 * _TIMEOUT)
     except Exception as error:  # whatever a foreign server answers
         raise BadInput(f"{url}: {_library().what_went_wrong(error)}") from None

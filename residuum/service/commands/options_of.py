@@ -34,12 +34,15 @@ def expanded(
         return function(**given, **{name: question_of(texts)})
 
     own = {
+        # Keywords all: options may then stand before arguments without defaults, in their own
+        # place.
         part: [parameter.replace(kind=parameter.KEYWORD_ONLY, annotation=hints[part])]
         for part, parameter in inspect.signature(function).parameters.items()
     }
     own[name] = list(options.values())
     signature = inspect.Signature([part for listed in own.values() for part in listed])
     command.__name__, command.__doc__ = function.__name__, function.__doc__
+    # Typer reads the signature for the order, and the annotations for the types.
     command.__signature__ = signature  # type: ignore[attr-defined]
     command.__annotations__ = {part.name: part.annotation for part in signature.parameters.values()}
     return command

@@ -93,7 +93,7 @@ DbcFile = Annotated[
     ),
 ]
 
-_TOLD = (RESAMPLED, MEASURED_AT, NOT_READ, NO_VALUE)
+_OF_SAMPLES = (RESAMPLED, MEASURED_AT, NOT_READ, NO_VALUE)
 """What notes tell of the samples themselves: a command says it."""
 
 
@@ -175,6 +175,7 @@ def reads(without: Container[str] = ()) -> Callable[[Callable[..., Any]], Callab
 
 def is_can_log(file: Path) -> bool:
     """Whether a file is one of a bus, by its ending."""
+    # by its name: the libraries that could look into it take a second to load
     return file.suffix.lower() in CAN_LOGS
 
 
@@ -203,12 +204,16 @@ def _read(file: Path, options: ReadOptions, mapping: Path | None, dbc: Path | No
         return record
     chosen = mapping or mapping_beside(file)
     record = read_mapped(file, options, chosen)
-    done = (
-        record.notes
-        if chosen is not None or any(note.startswith(AS_LOGGER) for note in record.notes)
-        else ()
-    )
-    for note in done or [note for note in record.notes if any(word in note for word in _TOLD)]:
+    for note in _notes_to_tell(record, mapped=chosen is not None):
         # the source is an address without its password
         progress(f"{record.source}: {note}")
     return record
+
+
+def _notes_to_tell(record: Record, *, mapped: bool) -> Sequence[str]:
+    """All notes of a logger's file, where they tell how it was understood; of others those of the
+    samples alone.
+    """
+    if mapped or any(note.startswith(AS_LOGGER) for note in record.notes):
+        return record.notes
+    return [note for note in record.notes if any(word in note for word in _OF_SAMPLES)]

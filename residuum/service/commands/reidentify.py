@@ -7,6 +7,7 @@ from residuum.library.questions.identify import Identify
 from residuum.service.commands.asked import asks
 from residuum.service.commands.fleet_options import (
     Data,
+    FleetRun,
     Results,
     Scheduler,
     Source,
@@ -38,13 +39,5 @@ def reidentify(
     if asked.is_multivariable:
         raise BadInput("reidentify: takes one input and one output")
     source = fleet_source(records, data)
-    work = Reidentify(asked, source)
-    run_over_fleet(
-        source,
-        work,
-        out,
-        workers=workers,
-        scheduler=scheduler,
-        as_json=as_json,
-        counts={"identified": "model.method"},
-    )
+    run = FleetRun(out, workers, scheduler, as_json)
+    run_over_fleet(source, Reidentify(asked, source), run, counts={"identified": "model.method"})

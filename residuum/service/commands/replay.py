@@ -88,6 +88,7 @@ def _frames(file: Path, bus_map: str | None, load: Callable[[], Record]) -> list
         raise BadInput(f"{file.name}: a register trace cannot be sent to a CAN bus")
     record = load()
     dbc_files = [map_file(bus_map)] if bus_map else sorted(MAPS.glob("*.dbc"))
+    # Each is read before one is chosen: a broken file is told, not passed over.
     for dbc in dbc_files:
         read_dbc(dbc)
     return list(record_frames(record, layout_for(record, dbc_files)))
@@ -106,6 +107,7 @@ def _pages(
         registers = read_register_map(map_path)
         try:
             name, stream = stream_for(record, registers)
+        # a map of another machine
         except BadInput:
             continue
         return registers, list(record_pages(record, name, stream))

@@ -37,6 +37,6 @@ def progress(message: str, share: float | None = None) -> None:
         typer.echo(message if share is None else f"{100 * share:.0f} % {message}", err=True)
 
 
-def told(share: float, message: str) -> None:
+def tell_progress(share: float, message: str) -> None:
     """`progress`, in the order in which the library tells it."""
     progress(message, share)

@@ -13,7 +13,7 @@ from residuum.library.result import Result
 from residuum.library.whole_file import write_whole
 from residuum.service.commands.output_file import check_output_file
 from residuum.service.commands.records import Reading, reads
-from residuum.service.commands.report import AsJson, report, told
+from residuum.service.commands.report import AsJson, report, tell_progress
 from residuum.service.results.report_page import analysis_page
 
 app = typer.Typer(add_completion=False)
@@ -53,7 +53,8 @@ def report_command(
     if model is not None:
         given, channels = read_model(model), reading.signals
         if explain:
-            answers.append(given.explain(loaded, map=channels, progress=told))
+            # It holds the comparison, too: the page shows both.
+            answers.append(given.explain(loaded, map=channels, progress=tell_progress))
         else:
             answers.append(given.compare(loaded, map=channels))
     title = f"{model}: {', '.join(records)}" if model else ", ".join(records)

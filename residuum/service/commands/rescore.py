@@ -8,6 +8,7 @@ from residuum.diagnosis.diagnosers import DIAGNOSERS, diagnoser_class
 from residuum.identification.errors import BadInput
 from residuum.service.commands.fleet_options import (
     Data,
+    FleetRun,
     Results,
     Scheduler,
     Source,
@@ -50,6 +51,7 @@ def rescore(
 
     An interrupted run can be resumed.
     """
+    run = FleetRun(out, workers, scheduler, as_json)
     if diagnoser == OWN:
         if baseline is not None:
             raise BadInput("--baseline: each has its own; leave it out")
@@ -60,15 +62,7 @@ def rescore(
                 " name one"
             )
         source.items()  # refused here where the database is none of this version
-        run_over_fleet(
-            source,
-            rescore_own(source),
-            out,
-            workers=workers,
-            scheduler=scheduler,
-            as_json=as_json,
-            counts=_VERDICTS,
-        )
+        run_over_fleet(source, rescore_own(source), run, counts=_VERDICTS)
         return
     if baseline is not None:
         if not baseline.is_file():
@@ -78,6 +72,4 @@ def rescore(
         diagnoser_class(diagnoser)
     source = fleet_source(records, data)
     work = Rescore(diagnoser, None if baseline is None else str(baseline.resolve()), source)
-    run_over_fleet(
-        source, work, out, workers=workers, scheduler=scheduler, as_json=as_json, counts=_VERDICTS
-    )
+    run_over_fleet(source, work, run, counts=_VERDICTS)

@@ -13,6 +13,7 @@ import typer
 from residuum.identification.errors import BadInput
 
 _TIMEOUT = 30.0
+"""Seconds in which the service must answer."""
 _KEY = "RESIDUUM_API_KEY"
 
 _URL_HELP = "Address of the running service; RESIDUUM_URL in the environment says it, too."
@@ -58,6 +59,7 @@ def answered(url: str, address: str, body: bytes | None = None, method: str | No
 
 def _problem(error: urllib.error.HTTPError) -> str:
     try:
+        # A problem document (RFC 9457) says in `detail` what a person reads.
         return str(json.load(error).get("detail") or error.reason)
     except ValueError:
         return f"the service answered {error.code} {error.reason}"

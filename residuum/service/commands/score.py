@@ -59,6 +59,7 @@ def score(
     )
     report(result, "\n".join(finding_text(finding) for finding in findings), as_json=as_json)
     if worst["verdict"] == Verdict.FAULTY:
+        # as every command whose question has yes and no for an answer
         raise typer.Exit(ANSWER_IS_NO)
 
 
@@ -67,5 +68,6 @@ def _judge(name: str, baseline: Path | None, asked: Score) -> Diagnoser:
         return untrained(diagnoser_class(name), **asked.settings)
     if not baseline.is_file():
         raise BadInput(f"{baseline}: no such baseline file")
+    # Settings that were given go over those that the baseline was trained with.
     judge = diagnoser_class(name).load(baseline)
     return judge.with_settings(**asked.settings) if asked.settings else judge

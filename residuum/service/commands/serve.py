@@ -33,6 +33,7 @@ from residuum.service.work.worker_pool import give_back_large_arrays
 app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
 
 _STOP_WITHIN = 5
+"""Seconds in which what is under way may end when the service stops."""
 
 
 @app.command()
@@ -55,6 +56,7 @@ def serve(
     settings = load_settings(
         settings_file, demo=demo or None, host=host, port=port, database=database, data=data
     )
+    # Before anything is held or opened: it costs nothing, and is told in a line.
     _check_certificate(settings)
     give_back_large_arrays()
     try:
@@ -182,7 +184,8 @@ def _refuse_damage(database: Database) -> None:
     """BadInput for a small file of which SQLite says that it is damaged; the rest is looked through
     while the service runs.
     """
-    if database.looked_through_first() and (damage := database.damage()) is not None:
+    damage = database.damage() if database.looked_through_first() else None
+    if damage is not None:
         raise BadInput(
             f"setting database: {database.url.database}: is damaged: {damage}; restore a backup"
             " into a new folder"
@@ -205,6 +208,7 @@ def _owned(settings: Settings) -> Iterator[None]:
     """
     with ExitStack() as held:
         try:
+            # The folder first: the database may lie in it.
             held.enter_context(folder_lock(settings.data))
         except OSError as error:
             raise BadInput(
@@ -213,6 +217,7 @@ def _owned(settings: Settings) -> Iterator[None]:
         try:
             database = Database(settings.database_url)
             held.callback(database.close)
+            # Refused before its schema is migrated.
             _refuse_damage(database)
             database.migrate()
             held.enter_context(database_lock(database, claim(settings.data, database), _end))
@@ -230,6 +235,7 @@ def _listening(host: str, port: int) -> Iterator[list[socket.socket]]:
     family = socket.AF_INET6 if ":" in host else socket.AF_INET
     listening = socket.socket(family, socket.SOCK_STREAM)
     try:
+        # A service that starts again need not wait for connections of the last one to be forgotten.
         listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         listening.bind((host, port))
         listening.listen(512)

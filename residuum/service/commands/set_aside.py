@@ -4,6 +4,7 @@ of them once more.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated
@@ -12,7 +13,7 @@ import typer
 
 from residuum.identification.errors import BadInput
 from residuum.service.commands.report import AsJson, report
-from residuum.service.settings import load_settings
+from residuum.service.settings import Settings, load_settings
 from residuum.service.window_queue.set_aside import Poisoned, SetAside, send_again
 
 app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
@@ -44,33 +45,38 @@ def set_aside(
                 "--to: takes one message; give its name, as `residuum set-aside` lists them"
             )
         _write(aside.payload(name), to)
-    if again and not settings.mqtt:
-        raise BadInput(
-            "setting mqtt: is empty; --again needs the broker that the messages came from"
-        )
-    refused = (
-        {message.name: why for message, why in send_again(settings.broker, aside, chosen)}
-        if again and chosen
-        else {}
-    )
-    lines = [_line(message, refused) for message in chosen]
+    outcomes = _sent_again(settings, aside, chosen) if again else {}
+    lines = [_line(message, outcomes) for message in chosen]
     answer = {
-        "messages": [asdict(entry) for entry in chosen],
-        "stored": [entry for entry, why in refused.items() if why is None],
+        "messages": [asdict(message) for message in chosen],
+        "stored": [sent_name for sent_name, why_refused in outcomes.items() if why_refused is None],
     }
     report(answer, "\n".join(lines) or "Nothing is set aside.", as_json=as_json)
 
 
-def _line(message: Poisoned, refused: dict[str, str | None]) -> str:
+def _sent_again(
+    settings: Settings, aside: SetAside, chosen: Sequence[Poisoned]
+) -> dict[str, str | None]:
+    """By name, why a message was refused again; None where it is stored now."""
+    if not settings.mqtt:
+        raise BadInput(
+            "setting mqtt: is empty; --again needs the broker that the messages came from"
+        )
+    if not chosen:
+        return {}
+    sent = send_again(settings.broker, aside, chosen)
+    return {message.name: why_refused for message, why_refused in sent}
+
+
+def _line(message: Poisoned, outcomes: dict[str, str | None]) -> str:
+    """A message as it is listed; with why it was refused again, None where it is stored now."""
     begin = f"{message.name}: {message.size_bytes} bytes from {message.gateway!r}"
-    if message.name not in refused:
+    if message.name not in outcomes:
         return f"{begin}: {message.reason}"
-    why = refused[message.name]
-    return (
-        f"{begin}: is stored now"
-        if why is None
-        else f"{begin}: was refused and set aside anew: {why}"
-    )
+    why_refused = outcomes[message.name]
+    if why_refused is None:
+        return f"{begin}: is stored now"
+    return f"{begin}: was refused and set aside anew: {why_refused}"
 
 
 def _write(content: bytes, to: Path) -> None:

@@ -10,7 +10,7 @@ from typing import Annotated
 import typer
 
 from residuum.identification.errors import BadInput
-from residuum.service.broker import broker_address
+from residuum.service.broker import BrokerAddress, broker_address
 from residuum.service.commands.output_file import check_output_file
 from residuum.service.commands.report import AsJson, report
 from residuum.service.fieldbus.sparkplug.metric_map import NAME, metric_map_text, read_metric_map
@@ -18,6 +18,10 @@ from residuum.service.fieldbus.sparkplug.metric_map import NAME, metric_map_text
 app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
 
 _TIMEOUT = 10.0
+"""Seconds in which a node's birth must come."""
+
+Devices = dict[str, dict[str, tuple[str, str]]]
+"""Device, empty for the node itself → channel → (metric, unit)."""
 
 
 @app.callback()
@@ -52,16 +56,43 @@ def browse(
         raise BadInput(f"{broker}: {error}") from None
     if re.fullmatch(f"{NAME}/{NAME}", node) is None:
         raise BadInput(f"{node}: must be GROUP/NODE, without + and #")
+    devices = _numeric_metrics(address, node)
+    out.write_text(metric_map_text(node, every, devices), encoding="utf-8")
+    count = sum(len(channels) for channels in devices.values())
+    head = f"{out}: {count} channels of {node}, a sample every {every:g} s"
+    plain = {
+        device: {
+            name: {"metric": metric, "unit": unit} for name, (metric, unit) in channels.items()
+        }
+        for device, channels in devices.items()
+    }
+    report(
+        {"file": str(out), "devices": plain}, "\n".join([head, *_lines(devices)]), as_json=as_json
+    )
+
+
+def _lines(devices: Devices) -> list[str]:
+    return [
+        f"  {device or 'the node'}: {name} [{unit or '1'}]  {metric}"
+        for device, channels in devices.items()
+        for name, (metric, unit) in channels.items()
+    ]
+
+
+def _numeric_metrics(address: BrokerAddress, node: str) -> Devices:
+    """The numbers of what the node's births name; BadInput where none
+    comes.
+    """
     try:
-        numeric_metrics = import_module(
-            "residuum.service.fieldbus.sparkplug.sparkplug_browse"
-        ).numeric_metrics
+        # the extra `sparkplug`
+        sparkplug_browse = import_module("residuum.service.fieldbus.sparkplug.sparkplug_browse")
     except ModuleNotFoundError:
         raise BadInput(
             "Sparkplug needs the extra `sparkplug`: pip install 'residuum[sparkplug]'"
         ) from None
+    devices: Devices
     try:
-        devices = numeric_metrics(address, node, _TIMEOUT)
+        devices = sparkplug_browse.numeric_metrics(address, node, _TIMEOUT)
     except OSError as error:
         raise BadInput(f"{address.host}:{address.port}: {error}") from None
     if not devices:
@@ -69,17 +100,4 @@ def browse(
             f"{node}: no birth with a number came within {_TIMEOUT:g} s; is the node connected to"
             " this broker?"
         )
-    out.write_text(metric_map_text(node, every, devices), encoding="utf-8")
-    lines = [
-        f"{out}: {sum(map(len, devices.values()))} channels of {node}, a sample every {every:g} s"
-    ]
-    lines += [
-        f"  {device or 'the node'}: {name} [{unit or '1'}]  {metric}"
-        for device, channels in devices.items()
-        for name, (metric, unit) in channels.items()
-    ]
-    plain = {
-        device: {n: {"metric": m, "unit": u} for n, (m, u) in channels.items()}
-        for device, channels in devices.items()
-    }
-    report({"file": str(out), "devices": plain}, "\n".join(lines), as_json=as_json)
+    return devices

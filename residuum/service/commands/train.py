@@ -60,6 +60,8 @@ def train(
             f"{labels}: only the gate-actuator diagnoser knows exemplars, not {diagnoser!r}; give"
             " record,label, or --validate"
         )
+    # The stored diagnoser has learned from all; those of the validation are others, and are
+    # dropped.
     lessons.teach(judge, range(len(records))).save(out)
     validation = None
     if validate is not None:
@@ -115,6 +117,7 @@ class _Lessons:
         """The diagnoser, fitted to these records."""
         chosen = [self.records[k] for k in indices]
         labels = None if self.labels is None else [self.labels[k] for k in indices]
+        # It alone draws its limits so that they hold for a specimen that it has not seen.
         if isinstance(judge, GateActuator) and self.exemplars is not None:
             return judge.fit(chosen, labels, [self.exemplars[k] for k in indices])
         return judge.fit(chosen, labels)

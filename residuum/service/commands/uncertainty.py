@@ -26,5 +26,5 @@ def uncertainty(
     as_json: AsJson = False,
 ) -> None:
     """Bound the error of a model at every frequency (Algorithm 1)."""
-    found = bounded(load_identified(identified), asked)
-    report(found.to_dict() | {"identified": str(identified)}, str(found), as_json=as_json)
+    answer = bounded(load_identified(identified), asked)
+    report(answer.to_dict() | {"identified": str(identified)}, str(answer), as_json=as_json)

@@ -17,5 +17,6 @@ def until_interrupted(greeting: str) -> None:
         signal.signal(number, end)
     sys.stdout.write(f"{greeting}\n")
     sys.stdout.flush()
+    # A wait without end would hold the signal back on some systems.
     while not over.wait(1.0):
-        """A wait without end would hold the signal back on some systems."""
+        pass

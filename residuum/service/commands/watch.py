@@ -32,6 +32,7 @@ app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
 
 MachineArgument = Annotated[str, typer.Argument(metavar="MACHINE", help="Name of the machine.")]
 _PAUSE = 0.5
+"""Seconds between two questions for a job's state."""
 
 
 @app.command()
@@ -236,6 +237,7 @@ def _machine(
     asset: str, buses: Mapping[str, str | None], bus_map: str | None
 ) -> MachineSettings | None:
     """The machine with the source that was told (kind → where it is); None when none was."""
+    # Of several sources that are named the first is written.
     given = [(kind, where) for kind, where in buses.items() if where is not None]
     if not given:
         return None
@@ -285,11 +287,14 @@ def _listened(machine: MachineSettings, seconds: float) -> tuple[dict[str, Any],
     sources = [SOURCES[source.kind](source, take) for source in machine.sources]
     for source in sources:
         source.start()
+    # Nothing sets it: sources run beside, and end by themselves when they are stopped.
     stopped.wait(seconds)
+    # Before they are stopped: a source that was stopped has another state.
     states = {source.name: source.health.snapshot() for source in sources}
     for source in sources:
         source.stop()
     for source in sources:
+        # All were told to stop before the first is waited for.
         source.join()
     sys.stdout.flush()
     return live.now(), {

@@ -12,7 +12,7 @@ from typing import Any
 from residuum.diagnosis.learning.reliability import (
     TENTHS,
     ReliabilityLine,
-    expected_calibration_error,
+    calibration_error,
     reliability_table,
 )
 from residuum.service.store import Confirmation, Outcome
@@ -69,13 +69,12 @@ def said_and_found(confirmations: Sequence[Confirmation]) -> SaidAndFound:
         if answer.probability is not None
     ]
     probabilities, true = [p for p, _ in pairs], [confirmed for _, confirmed in pairs]
+    lines = reliability_table(probabilities, true, TENTHS) if pairs else []
     return SaidAndFound(
         answered=len(confirmations),
         without_probability=len(confirmations) - len(pairs),
         # every answer counts here, also without a probability
         outcomes=Counter(answer.outcome for answer in confirmations),
-        lines=reliability_table(probabilities, true, TENTHS) if pairs else [],
-        calibration_error=(
-            expected_calibration_error(probabilities, true, TENTHS) if pairs else None
-        ),
+        lines=lines,
+        calibration_error=calibration_error(lines) if lines else None,
     )

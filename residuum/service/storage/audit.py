@@ -12,7 +12,7 @@ import hashlib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from datetime import datetime
-from typing import Any
+from typing import Any, NamedTuple
 
 import orjson
 from sqlalchemy import Connection, Row, insert, select, update
@@ -22,7 +22,9 @@ from residuum.service.storage.tables import audit, audit_head
 from residuum.service.store import AuditEntry, Page, StorageUnavailable
 
 _BEGIN = "0" * 64
+"""The digest before the first entry."""
 _AT_ONCE = 1000
+"""Entries that are fetched at once."""
 
 
 class BrokenAudit(Exception):
@@ -47,20 +49,14 @@ def append(
     detail: Mapping[str, Any] | None = None,
 ) -> None:
     """Add an entry in the transaction of what it tells of."""
+    # Held until the transaction ends: two entries must not follow the same one.
     head = connection.execute(select(audit_head).with_for_update()).one()
+    # sorted: the digest is over this text
     detail_json = orjson.dumps(dict(detail or {}), option=orjson.OPT_SORT_KEYS).decode()
     number = head.entries + 1
-    digest = _digest(head.digest, number, now, by, action, subject, detail_json)
-    entry = {
-        "number": number,
-        "at": now,
-        "by": by,
-        "action": action,
-        "subject": subject,
-        "detail": detail_json,
-        "digest": digest,
-    }
-    connection.execute(insert(audit).values(entry))
+    content = _Content(number, now, by, action, subject, detail_json)
+    digest = content.digest(head.digest)
+    connection.execute(insert(audit).values(content._asdict() | {"digest": digest}))
     connection.execute(update(audit_head).values(entries=number, digest=digest))
 
 
@@ -92,8 +88,9 @@ def _followed(connection: Connection) -> tuple[int, str]:
     ):
         number += 1
         if row.number != number:
+            # numbers run without gaps: the head's lock gives them
             raise BrokenAudit(f"audit: entry {number} is missing")
-        digest = _digest(digest, row.number, row.at, row.by, row.action, row.subject, row.detail)
+        digest = _content(row).digest(digest)
         if row.digest != digest:
             raise BrokenAudit(f"audit: entry {number} or the one before it was changed")
     return number, digest
@@ -105,12 +102,11 @@ def page(connection: Connection, cursor: str | None = None, limit: int = 100) ->
     if cursor:
         query = query.where(audit.c.number < paging.decode_number(cursor))
     rows = connection.execute(query).all()
+    # The digest before each is that of the next row, for the newest comes first; the row beyond
+    # the page gives that of the last one shown.
     before = [entry.digest for entry in rows[1:]] + ([_BEGIN] if len(rows) <= limit else [])
-    for row, before_it in zip(rows, before, strict=False):
-        if (
-            _digest(before_it, row.number, row.at, row.by, row.action, row.subject, row.detail)
-            != row.digest
-        ):
+    for row, digest_before in zip(rows, before, strict=False):
+        if _content(row).digest(digest_before) != row.digest:
             raise StorageUnavailable(
                 f"audit: entry {row.number} or the one before it was changed; `residuum doctor`"
                 " names the first"
@@ -118,11 +114,24 @@ def page(connection: Connection, cursor: str | None = None, limit: int = 100) ->
     return paging.page(rows, limit, "number", _entry)
 
 
-def _digest(
-    before: str, number: int, at: datetime, by: str | None, action: str, subject: str, detail: str
-) -> str:
-    content = orjson.dumps([number, at.isoformat(), by, action, subject, detail])
-    return hashlib.sha256(before.encode() + content).hexdigest()
+class _Content(NamedTuple):
+    """What an entry's digest is over, as its row has it."""
+
+    number: int
+    at: datetime
+    by: str | None
+    action: str
+    subject: str
+    detail: str
+
+    def digest(self, before: str) -> str:
+        """The entry's digest after the digest of the one before it."""
+        content = orjson.dumps([self.number, self.at.isoformat(), *self[2:]])
+        return hashlib.sha256(before.encode() + content).hexdigest()
+
+
+def _content(row: Row[Any]) -> _Content:
+    return _Content(row.number, row.at, row.by, row.action, row.subject, row.detail)
 
 
 def _entry(row: Row[Any]) -> AuditEntry:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 import hashlib
 import io
 import os
@@ -9,7 +10,7 @@ import re
 import shutil
 import tarfile
 import tempfile
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
@@ -17,14 +18,82 @@ from types import MappingProxyType
 from typing import IO, Any
 
 import orjson
-from sqlalchemy import Connection, Table, delete
+from sqlalchemy import Connection, MetaData, Table, delete, func, insert, select
 
 from residuum.identification.errors import BadInput
 from residuum.service.storage import identity
 from residuum.service.storage.blocks import BlockReference
 from residuum.service.storage.database import Database, known_revisions, newest_revision
 from residuum.service.storage.durable_folder import make_folder, sync_folder
-from residuum.service.storage.rows import block_rows, plain_rows
+from residuum.service.storage.rows import block_rows
+
+# Rows of any schema revision as lines of JSON and back: the tables are read from the database, not
+# from the code, for a backup may be of an older schema than the code's.
+
+_VERSION_TABLE = "alembic_version"
+_AT_ONCE = 500
+"""Rows that are inserted, or fetched, at once."""
+
+
+def _tables_of(connection: Connection) -> list[Table]:
+    """The tables there are, those that others point to first; without the one that keeps the
+    schema's revision.
+    """
+    metadata = MetaData()
+    metadata.reflect(connection)
+    return [table for table in metadata.sorted_tables if table.name != _VERSION_TABLE]
+
+
+def _lines_of(connection: Connection, table: Table) -> Iterator[bytes]:
+    """Every row as a line of JSON, in order of the primary key; bytes in Base64, moments as in ISO
+    8601 (UTC).
+    """
+    query = select(table).order_by(*table.primary_key.columns)
+    for row in connection.execute(query.execution_options(yield_per=_AT_ONCE)).mappings():
+        yield orjson.dumps({str(name): _plain(value) for name, value in row.items()}) + b"\n"
+
+
+def _insert_lines(connection: Connection, table: Table, row_lines: Iterable[bytes]) -> None:
+    """Insert rows that `_lines_of` gave, and let the database count its numbers on from there."""
+    kinds = {column.name: column.type.python_type for column in table.columns}
+    batch = []
+    for line in row_lines:
+        batch.append(
+            {name: _back(value, kinds[name]) for name, value in orjson.loads(line).items()}
+        )
+        # in batches: a table may be larger than the memory
+        if len(batch) == _AT_ONCE:
+            connection.execute(insert(table), batch)
+            batch = []
+    if batch:
+        connection.execute(insert(table), batch)
+    _count_on(connection, table)
+
+
+def _plain(value: Any) -> Any:
+    return base64.b64encode(value).decode() if isinstance(value, bytes | memoryview) else value
+
+
+def _back(value: Any, kind: type) -> Any:
+    if value is None:
+        return None
+    if kind is bytes:
+        return base64.b64decode(value)
+    return datetime.fromisoformat(value) if kind is datetime else value
+
+
+def _count_on(connection: Connection, table: Table) -> None:
+    """PostgreSQL numbers rows by a sequence of its own, which rows with given numbers do not
+    move.
+    """
+    if connection.dialect.name != "postgresql" or table.autoincrement_column is None:
+        return
+    column = table.autoincrement_column
+    sequence = connection.scalar(select(func.pg_get_serial_sequence(table.name, column.name)))
+    highest = connection.scalar(select(func.max(column)))
+    if sequence is not None and highest is not None:
+        connection.execute(select(func.setval(sequence, highest)))
+
 
 # What a backup file holds, read from its begin to its end and verified on the way.
 
@@ -34,6 +103,7 @@ _BLOCK = re.compile(r"blocks/([0-9]{4}-[0-9]{2}-[0-9]{2}/[0-9a-f]{32}\.block)")
 _ROWS = re.compile(r"rows/([a-z_]{1,60})\.jsonl")
 _SETTINGS = re.compile(r"settings/([A-Za-z0-9][A-Za-z0-9._-]{0,199})")
 _PIECE = 2**20
+"""Bytes of a block that are read at once."""
 
 
 class BadBackup(BadInput):
@@ -79,7 +149,7 @@ class BackupReader:
 
         Raises BadBackup with one line that says what is wrong and where.
         """
-        tally = _Seen()
+        tally = _Tally()
         try:
             with tarfile.open(file, "r:") as archive:
                 for member in archive:
@@ -93,7 +163,7 @@ class BackupReader:
             raise BadBackup(f"{file}: is not a whole backup: {error}") from None
         raise BadBackup(f"{file}: is not a whole backup: its end is missing")
 
-    def _take(self, file: Path, name: str, stream: IO[bytes], tally: _Seen) -> None:
+    def _take(self, file: Path, name: str, stream: IO[bytes], tally: _Tally) -> None:
         if match := _BLOCK.fullmatch(name):
             self.take_block(match[1], tally.block(match[1], stream))
         elif match := _ROWS.fullmatch(name):
@@ -107,7 +177,7 @@ class BackupReader:
 
 
 @dataclass
-class _Seen:
+class _Tally:
     """Checksums of what has come so far."""
 
     revision: str = ""
@@ -161,7 +231,8 @@ class _Seen:
                     f"{file}: signal block {path}"
                     f" {'differs from its checksum' if path in self.blocks else 'is missing'}"
                 )
-        if surplus := self.blocks.keys() - self.referred.keys():
+        surplus = self.blocks.keys() - self.referred.keys()
+        if surplus:
             raise BadBackup(f"{file}: no row points to signal block {min(surplus)}")
         counts = {table: int(summary["count"]) for table, summary in self.tables.items()}
         return Contents(
@@ -216,6 +287,7 @@ def write_backup(
             raw.flush()
             os.fsync(raw.fileno())
         contents = BackupReader().read(unfinished)
+        # The name last: a file of this name is a whole backup.
         os.replace(unfinished, file)
     except BaseException:
         unfinished.unlink(missing_ok=True)
@@ -238,6 +310,8 @@ def _write_members(
     )
     for name, content in settings.items():
         archive.addfile(_member(f"settings/{name}", len(content)), io.BytesIO(content))
+    # Blocks before rows: a signal that the retention rule removes after the snapshot is missing
+    # here, and its row, which the snapshot has as it was, can then be written as let go.
     missing = {
         block.path
         for block in block_rows.references(connection)
@@ -245,8 +319,8 @@ def _write_members(
     }
     _refuse_lost(database, missing)
     described = {}
-    for table in plain_rows.tables_of(connection):
-        row_lines = plain_rows.lines(connection, table)
+    for table in _tables_of(connection):
+        row_lines = _lines_of(connection, table)
         marked = _let_go(row_lines, missing) if missing and table.name == "windows" else row_lines
         described[str(table.name)] = _add_rows(archive, table, marked)
     digests = {name: hashlib.sha256(content).hexdigest() for name, content in settings.items()}
@@ -289,6 +363,7 @@ def _let_go(row_lines: Iterator[bytes], missing: set[str]) -> Iterator[bytes]:
 
 def _add_rows(archive: tarfile.TarFile, table: Table, row_lines: Iterator[bytes]) -> dict[str, Any]:
     digest, count = hashlib.sha256(), 0
+    # A member's size stands before its content, and is known only when all rows were written.
     with tempfile.TemporaryFile() as spooled:
         for line in row_lines:
             spooled.write(line)
@@ -343,12 +418,14 @@ def restore_backup(file: Path, database: Database, blocks: Path) -> Contents:
         raise BadBackup(
             f"{beside}: is there already; the settings of the backup go into a new folder"
         )
+    # To the backup's schema first, so that its rows fit; to the newest when they are in.
     database.migrate(contents.revision)
     written: list[Path] = []
     try:
         with database.write() as connection:
             _Restorer(connection, blocks, written).read(file)
         database.migrate()
+        # The restored store is another one than that of the backup, which may run on.
         identity.forget(database)
     except BaseException:
         database.migrate("base")
@@ -365,7 +442,7 @@ class _Restorer(BackupReader):
 
     def __init__(self, connection: Connection, blocks: Path, written: list[Path]) -> None:
         self._connection = connection
-        self._tables = {table.name: table for table in plain_rows.tables_of(connection)}
+        self._tables = {table.name: table for table in _tables_of(connection)}
         self._blocks = blocks
         self._written = written
 
@@ -390,10 +467,9 @@ class _Restorer(BackupReader):
 
     def take_rows(self, table: str, lines: Iterator[bytes]) -> None:
         """Insert a table's rows; the blocks they point to are on disk by now."""
-        for folder in (
-            {self._blocks, *(file.parent for file in self._written)} if self._written else ()
-        ):
+        folders = {self._blocks, *(file.parent for file in self._written)}
+        for folder in folders if self._written else ():
             sync_folder(folder)
         # a migration may have begun a table with a row of its own
         self._connection.execute(delete(self._tables[table]))
-        plain_rows.insert_lines(self._connection, self._tables[table], lines)
+        _insert_lines(self._connection, self._tables[table], lines)

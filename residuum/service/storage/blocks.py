@@ -31,9 +31,12 @@ their row.
 """
 _BEGIN = len(MAGIC) + 8
 _CRC = 4
+"""Bytes of the header's checksum."""
 _ALIGNMENT = 64
+"""Bytes: a line of the processor's cache."""
 _FULL = (errno.ENOSPC, errno.EDQUOT)
 _PROBE = 64 * 1024
+"""Bytes of a small window, whose room is tried."""
 _PIECE = 2**20
 """Bytes of a long channel that are read at once."""
 
@@ -77,9 +80,13 @@ class Blocks:
             folder = self._day_folder(day)
             with open(folder / name, "xb", buffering=0) as file:
                 digest = _write_all(file.fileno(), parts)
+                # The file's bytes, then its name in the folder: a file whose entry is not on disk
+                # is gone after a power cut, whatever it holds.
                 os.fsync(file.fileno())
             sync_folder(folder)
         except OSError as error:
+            # A block that was written half-way would be swept only later, and takes room until
+            # then.
             self.discard(f"{day}/{name}")
             raise _unavailable(error) from error
         return BlockReference(f"{day}/{name}", digest, sum(map(len, parts)))
@@ -140,6 +147,7 @@ class Blocks:
         for).
         """
         file = self.folder / path
+        # An old header can be believed only when the whole file is: it says where channels begin.
         if checksum is not None and _begins_with(file, _WITHOUT_CHECKSUM):
             self.verify(BlockReference(path, checksum, 0))
         header, start = _header(file)
@@ -217,6 +225,7 @@ def _parts(record: Record) -> list[bytes | memoryview]:
     bodies: list[bytes | memoryview] = []
     offset = 0
     for name, signal in record.channels.items():
+        # Little endian whatever the machine: a backup may be restored on another one.
         little = np.ascontiguousarray(signal, dtype=signal.dtype.newbyteorder("<"))
         body = little.view(np.uint8).data
         entries.append(
@@ -228,6 +237,7 @@ def _parts(record: Record) -> list[bytes | memoryview]:
                 "crc32": zlib.crc32(body),
             }
         )
+        # Aligned, so that a channel can be taken as an array where it lies.
         padding = -len(body) % _ALIGNMENT
         bodies += [body, bytes(padding)]
         offset += len(body) + padding
@@ -250,6 +260,7 @@ def _write_all(descriptor: int, parts: Sequence[bytes | memoryview]) -> str:
     for part in parts:
         digest.update(part)
         unwritten = memoryview(part)
+        # A write of the system may take a part only, as on a disk that becomes full.
         while unwritten:
             unwritten = unwritten[os.write(descriptor, unwritten) :]
     return digest.hexdigest()
@@ -261,6 +272,7 @@ def _header(file: Path) -> tuple[dict[str, Any], int]:
         begin = stream.read(_BEGIN)
         if begin[: len(MAGIC)] not in (MAGIC, _WITHOUT_CHECKSUM):
             raise ValueError("is not a signal block")
+        # A flipped bit in the length must not ask for more memory than the file has bytes.
         length = min(
             int.from_bytes(begin[len(MAGIC) :], "little"), os.fstat(stream.fileno()).st_size
         )
@@ -303,6 +315,7 @@ def _pieces(
         while left > 0:
             content = stream.read(min(left, _PIECE // dtype.itemsize) * dtype.itemsize)
             crc = zlib.crc32(content, crc)
+            # A file that was cut short may end within a sample; the checksum then tells it.
             piece = np.frombuffer(content[: len(content) // dtype.itemsize * dtype.itemsize], dtype)
             if not len(piece):
                 break

@@ -23,7 +23,7 @@ from residuum.identification.record import Record
 from residuum.service.alarms.alarm_states import AlarmEvent, AlarmRule
 from residuum.service.alarms.machine_states import suppressing_state
 from residuum.service.storage import audit as audit_trail
-from residuum.service.storage import retention, time_range
+from residuum.service.storage import retention
 from residuum.service.storage.blocks import BlockReference, Blocks, BrokenBlock
 from residuum.service.storage.database import Busy, Database, OutcomeUnknown, SamePlace, sqlite_file
 from residuum.service.storage.outbox import Outbox
@@ -146,8 +146,8 @@ class DiskStore:
     asset = _asked(confirmation_rows.asset_of)
     findings = _asked(confirmation_rows.findings_page)
     findings_after = _asked(asset_rows.findings_after)
-    findings_between = _asked(time_range.findings_between)
-    windows_between = _asked(time_range.windows_between)
+    findings_between = _asked(asset_rows.findings_between)
+    windows_between = _asked(window_rows.between)
     newest_finding = _asked(asset_rows.newest_finding)
     finding_of = _asked(confirmation_rows.finding_of)
     confirmations = _asked(confirmation_rows.page)
@@ -185,6 +185,7 @@ class DiskStore:
                 f"database: has not answered for {_CHECK_WITHIN:g} s whether it can be written"
             )
         try:
+            # Whoever waited for the lock meanwhile gets the answer of the look that it waited for.
             if time.monotonic() - self._checked_at >= _CHECK_EVERY:
                 self._refusal = self._looked()
                 self._checked_at = time.monotonic()
@@ -205,6 +206,7 @@ class DiskStore:
     def unshelve_expired(self) -> None:
         """Put alarms back whose shelving has run out, and tell of a flood that is over."""
         with self._database.write() as connection:
+            # First, so that the notice of a flood's end has them as they are then.
             expired = alarm_rows.unshelve_expired(connection, _now())
             alarm_floods.end(connection, _now())
         for alarm in expired:
@@ -225,30 +227,17 @@ class DiskStore:
         """
         now = _now()
         with self._noted():
-            if (
-                idempotency_key is not None
-                and (known := self.window_with_key(asset, idempotency_key, digest)) is not None
-            ):
+            request = window_rows.RequestKey(idempotency_key, digest)
+            known = self._known_window(asset, request)
+            if known is not None:
                 return known
             self._place.check()
             block = self._blocks.write(record, _day(now))
             try:
                 with self._discarded_on_failure(block):
-                    return self._add_rows(
-                        asset,
-                        record,
-                        finding,
-                        block,
-                        now=now,
-                        idempotency_key=idempotency_key,
-                        digest=digest,
-                    )
+                    return self._add_rows(asset, record, finding, block, now, request)
             except IntegrityError:  # another request with the same key was faster
-                known = (
-                    None
-                    if idempotency_key is None
-                    else self.window_with_key(asset, idempotency_key, digest)
-                )
+                known = self._known_window(asset, request)
                 if known is None:
                     raise
                 return known
@@ -293,29 +282,24 @@ class DiskStore:
         record: Record,
         finding: Finding,
         block: BlockReference,
-        *,
         now: datetime,
-        idempotency_key: str | None,
-        digest: str | None,
+        request: window_rows.RequestKey,
     ) -> int:
         with self._database.write() as connection:
             asset_rows.ensure(connection, asset, None, finding.diagnoser, now)
-            window = window_rows.add(
-                connection,
-                asset,
-                record,
-                block,
-                now=now,
-                idempotency_key=idempotency_key,
-                digest=digest,
-            )
+            window = window_rows.add(connection, asset, record, block, now, request)
             number = asset_rows.add_finding(connection, asset, window, finding, now)
             finding_notices.add(connection, number)
-            rule, seen_at = self._rule_of(asset), _seen_at(record, now)
-            aside = suppressing_state(rule, record)
-            changed = alarm_rows.follow(
-                connection, asset, window, finding, now, rule, seen_at, aside
+            rule = self._rule_of(asset)
+            judged = alarm_rows.JudgedWindow(
+                window,
+                finding,
+                rule,
+                now,
+                seen_at=_seen_at(record, now),
+                suppressing_state=suppressing_state(rule, record),
             )
+            changed = alarm_rows.follow(connection, asset, judged)
         self._refuse_moved()
         self._announce("finding", StoredFinding(number, asset, window, now, finding).to_json())
         for alarm in changed:
@@ -326,9 +310,16 @@ class DiskStore:
         """The window stored under a key before, None when there is none; Conflict when its content
         differed.
         """
+        return self._known_window(asset, window_rows.RequestKey(idempotency_key, digest))
+
+    def _known_window(self, asset: str, request: window_rows.RequestKey) -> int | None:
+        if request.key is None:
+            return None
+        # A window of a database that was moved away is not stored: who sends it again must not
+        # be told that it is.
         self._place.check()
         with self._database.read() as connection:
-            return window_rows.with_key(connection, asset, idempotency_key, digest)
+            return window_rows.with_key(connection, asset, request)
 
     def ensure_asset(
         self, asset: str, title: str | None = None, diagnoser: str | None = None
@@ -386,22 +377,23 @@ class DiskStore:
     ) -> Alarm:
         """What an operator asks of an alarm; IllegalTransition when its state does not allow it."""
         with self._database.write() as connection:
-            changed = alarm_rows.operate(
-                connection, alarm, event, by=by, comment=comment, until=until, now=_now()
-            )
+            note = alarm_rows.JournalNote(event, _now(), by, comment)
+            changed = alarm_rows.operate(connection, alarm, note, until)
         self._announce("alarm", changed.to_json())
         return changed
 
     def confirm(
-        self, asset: str, finding: int, found: FoundAtMachine, by: str | None = None
+        self, asset: str, finding: int, observed: FoundAtMachine, by: str | None = None
     ) -> Confirmation:
         """Keep what was found at the machine of what a finding said; BadInput where it contradicts
         itself.
         """
         with self._database.write() as connection:
-            told = confirmation_rows.add(connection, asset, finding, found, by=by, now=_now())
-        self._announce("confirmation", told.to_json())
-        return told
+            confirmation = confirmation_rows.add(
+                connection, asset, finding, observed, by=by, now=_now()
+            )
+        self._announce("confirmation", confirmation.to_json())
+        return confirmation
 
     def alarm_rates(self) -> AlarmRates:
         """How many alarms were raised of late."""
@@ -466,9 +458,8 @@ class DiskStore:
     ) -> ModelVersion:
         """Keep a new version of a model; the first makes the model."""
         with self._database.write() as connection:
-            version = model_rows.add_version(
-                connection, model, kind, content, note=note, by=by, now=_now()
-            )
+            new = model_rows.NewVersion(model, kind, content, note, by)
+            version = model_rows.add_version(connection, new, _now())
             detail = {"kind": kind, "number": version.number, "checksum": version.checksum}
             audit_trail.append(
                 connection,
@@ -490,6 +481,8 @@ class DiskStore:
         count, self._clock.doubt = 0, None
         while True:
             with self._database.patiently(), self._database.write() as connection:
+                # A batch a transaction: writers wait for one, not for all that goes. The trail
+                # tells what the service itself lets go, as it tells what somebody deletes.
                 paths = retention.let_go(connection, rule, _now(), self._clock)
                 if paths:
                     audit_trail.append(
@@ -553,6 +546,7 @@ class DiskStore:
 
         While something else may be writing, `settled` must exceed the time from a block to its row.
         """
+        # The blocks first: one whose row comes between the two looks is then known.
         paths = set(self._blocks.paths(settled))
         with self._database.read() as connection:
             return paths - {block.path for block in block_rows.references(connection)}

@@ -42,8 +42,11 @@ def claim(folder: Path, database: Database) -> str:
         return theirs
     if theirs is not None and ours is not None:
         raise OtherDatabase(_refusal(folder, database, "belongs to another data folder"))
-    if (strange := _strangers(folder, database)) is not None:
+    strange = _strangers(folder, database)
+    if strange is not None:
         raise OtherDatabase(_refusal(folder, database, strange))
+    # Where one side holds it, the other gets the same: a first start that was cut off between the
+    # two writes goes on.
     known = theirs or ours or secrets.token_hex(16)
     if theirs is None:
         with database.write() as connection:
@@ -65,6 +68,7 @@ def _strangers(folder: Path, database: Database) -> str | None:
     """Why signals and rows cannot belong together; None where they can."""
     with database.read() as connection:
         named = [block.path for block in block_rows.newest(connection, _LOOKED_AT)]
+    # Of a hundred signals one is enough: the retention rule may have removed many of them.
     if named:
         known = any((folder / "blocks" / path).is_file() for path in named)
         return None if known else "names signals of which none is there"

@@ -57,10 +57,11 @@ def add(connection: Connection, alarm: Alarm) -> None:
     add_notice(connection, alarm.to_json())
 
 
-def add_notice(connection: Connection, told: Mapping[str, Any]) -> None:
+def add_notice(connection: Connection, notice: Mapping[str, Any]) -> None:
     """Write a notice of anything, after an entry of the audit trail in the same transaction."""
+    # No other process is here: the lock of the audit trail's head is held until the commit.
     number = (connection.scalar(select(func.max(alarm_notices.c.number))) or 0) + 1
-    row = {"number": number, "alarm": orjson.loads(orjson.dumps(told))}
+    row = {"number": number, "alarm": orjson.loads(orjson.dumps(notice))}
     connection.execute(insert(alarm_notices).values(row_checks.sealed(alarm_notices, row)))
     connection.execute(delete(alarm_notices).where(alarm_notices.c.number <= number - MOST_NOTICES))
 
@@ -104,7 +105,7 @@ class Outbox:
                         insert(receivers).values(id=receiver, told=newest, findings=findings)
                     )
             except IntegrityError:
-                """Another process was faster."""
+                pass  # another process was faster, and wrote the same
         elif known.findings != findings:
             with self._database.write() as connection:
                 connection.execute(
@@ -120,6 +121,7 @@ class Outbox:
             first = after(connection, row.told)
         if first is None:
             return None
+        # Only where nobody told it meanwhile: in between another process may have had its turn.
         with self._database.write() as connection:
             taken = self._take(connection, is_receiver, receivers.c.told == row.told)
         return first if taken else None
@@ -149,21 +151,17 @@ class Outbox:
         """The findings that the receiver is to be told now by this process, the oldest first; none
         while another tells it.
         """
+        # Most of the time nothing waits, and a read does not queue for the lock of writers.
         with self._database.read() as connection:
             if not finding_notices.waiting(connection, receiver, 1):
                 return WaitingFindings([], 0)
         with self._database.write() as connection:
             if not self._take(connection, receivers.c.id == receiver):
                 return WaitingFindings([], 0)
-            lost = (
-                connection.scalar(
-                    select(receivers.c.findings_lost).where(receivers.c.id == receiver)
-                )
-                or 0
-            )
-            return WaitingFindings(
-                finding_notices.waiting(connection, receiver, HANDED_OUT_AT_ONCE), lost
-            )
+            count = select(receivers.c.findings_lost).where(receivers.c.id == receiver)
+            lost = connection.scalar(count) or 0
+            waiting = finding_notices.waiting(connection, receiver, HANDED_OUT_AT_ONCE)
+            return WaitingFindings(waiting, lost)
 
     def told_findings(self, receiver: str, finding_ids: Collection[int], lost: int = 0) -> None:
         """Note that the receiver knows these findings, and that it was noticed how many were let go
@@ -173,7 +171,7 @@ class Outbox:
             # its row first, as where notices are let go
             less = {"findings_lost": receivers.c.findings_lost - lost}
             connection.execute(update(receivers).where(receivers.c.id == receiver).values(less))
-            finding_notices.told(connection, receiver, finding_ids)
+            finding_notices.remove_told(connection, receiver, finding_ids)
 
     def release(self) -> None:
         """Let others tell the receivers of this process at once."""

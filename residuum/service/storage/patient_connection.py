@@ -1,8 +1,10 @@
-"""A connection to PostgreSQL that gives up a server from which nothing comes any more, as in a network that is partitioned.
+"""A connection to PostgreSQL that gives up a server from which nothing comes any more, as in a
+network that is partitioned.
 
-Keepalives and TCP's own timeouts notice a peer that is gone, but not one behind a proxy that still takes what is sent. So each
-wait for an answer has a longest silence. The server is told, too, how long a session may be idle in a transaction: one whose
-client is gone would keep its locks, and with them hold up every other writer, until its system notices.
+Keepalives and TCP's own timeouts notice a peer that is gone, but not one behind a proxy that still
+takes what is sent. So each wait for an answer has a longest silence. The server is told, too, how
+long a session may be idle in a transaction: one whose client is gone would keep its locks, and with
+them hold up every other writer, until its system notices.
 """
 
 from __future__ import annotations
@@ -16,6 +18,7 @@ import psycopg
 from residuum.service.storage.database import SILENCE
 
 CONNECT_WITHIN = 5
+"""Seconds in which a server must take a connection."""
 _KEEPALIVE = {
     "keepalives": 1,
     "keepalives_idle": 5,
@@ -23,6 +26,7 @@ _KEEPALIVE = {
     "keepalives_count": 3,
     "tcp_user_timeout": 10_000,
 }
+"""Settings of the connection's socket [s; the last one ms]."""
 _OF_SESSIONS = {
     "idle_in_transaction_session_timeout": 10_000,
     "tcp_keepalives_idle": 5,
@@ -48,6 +52,8 @@ class PatientConnection(psycopg.Connection[Any]):
         unknown.
         """
         try:
+            # psycopg's generators yield what they wait for, and are sent what is ready; nothing is,
+            # after each of its own short waits.
             step = next(generator)
             heard = time.monotonic()
             while True:
@@ -55,6 +61,7 @@ class PatientConnection(psycopg.Connection[Any]):
                 if ready:
                     heard = time.monotonic()
                 elif time.monotonic() - heard > self.patience:
+                    # Closed, not cancelled: to cancel would ask the silent server, too.
                     self.pgconn.finish()
                     raise psycopg.OperationalError(
                         f"the server has been silent for {self.patience:g} s"
@@ -67,6 +74,7 @@ class PatientConnection(psycopg.Connection[Any]):
 def connect(arguments: list[Any], options: Mapping[str, Any]) -> PatientConnection:
     """A new connection with the timeouts of this module, as far as the URL says nothing else."""
     session = " ".join(f"-c {name}={value}" for name, value in _OF_SESSIONS.items())
+    # What the URL says goes over the timeouts of this module.
     given = {"connect_timeout": CONNECT_WITHIN, **_KEEPALIVE, **options}
     given["options"] = f"{session} {options.get('options', '')}".strip()
     return PatientConnection.connect(*arguments, **given)

@@ -27,7 +27,9 @@ _TEN_MINUTES, _HOUR, _DAY_OF_RATES = timedelta(minutes=10), timedelta(hours=1), 
 _FLOOD = 10
 """More alarms than this in ten minutes are a flood for one operator (ANSI/ISA-18.2-2016, 16.5)."""
 _CHATTER, _CHATTER_WITHIN = 3, 60.0
+"""An alarm that is raised so often within so many seconds chatters."""
 _MOST_NAMED = 10
+"""Alarms that are named as the most frequent ones."""
 
 
 def rates(connection: Connection, now: datetime) -> AlarmRates:
@@ -73,6 +75,7 @@ def rates(connection: Connection, now: datetime) -> AlarmRates:
 
 def _highest(times: npt.NDArray[np.float64]) -> int:
     """Most alarms in any ten minutes."""
+    # Of each alarm, the first within the ten minutes that end with it: times increase.
     begins = np.searchsorted(times, times - _TEN_MINUTES.total_seconds(), side="right")
     return int((np.arange(len(times)) - begins + 1).max(initial=0))
 
@@ -84,6 +87,7 @@ def _flood_share(times: npt.NDArray[np.float64]) -> float:
 
 
 def _chatters(times: list[float]) -> bool:
+    # from each raise to the second one after it
     apart = np.array(times[_CHATTER - 1 :]) - np.array(times[: len(times) - _CHATTER + 1])
     return bool((apart <= _CHATTER_WITHIN).any())
 
@@ -179,9 +183,12 @@ class Clock:
         newest = connection.execute(
             select(windows.c.received_at).order_by(windows.c.id.desc()).limit(1)
         ).scalar_one_or_none()
+        # By number, not by time: a clock that jumped has written its own times.
         self._far = newest if newest is not None and now - newest > _FARTHEST else None
         if self._far is not None:
             return 0
+        # Windows that come evenly are 1/days of what is there, each day: twice as many may go, so
+        # that a rule of few days is kept up with.
         share = math.inf if days <= 0 else max(_SHARE, 2.0 / days)
         return sys.maxsize if share >= 1 else max(_LEAST, math.ceil(share * (total + past))) - past
 
@@ -216,10 +223,14 @@ def let_go(connection: Connection, retention: Retention, now: datetime, clock: C
         connection.execute(select(func.count()).select_from(windows).where(_HELD)).scalar_one()
         - retention.rows
     )
+    # A row goes only when its signal has gone: what is to be forgotten is let go first.
     days = min(retention.days, retention.row_days)
     aged = may_go = clock.signals(connection, days, now)
     freed: list[Row[Any]] = []
+    # The sums go down with each row that is let go, so that no more go than must.
     for row in connection.execute(_may_go(_HELD)):
+        # Oldest first. Beyond the amount they go whatever the clock says; for their age alone only
+        # so many a day.
         if surplus <= 0 and rows <= 0:
             if (now - row.received_at).total_seconds() <= days * _DAY:
                 break
@@ -246,7 +257,8 @@ def forget(connection: Connection, retention: Retention, now: datetime, clock: C
     surplus = (
         connection.execute(select(func.count()).select_from(windows)).scalar_one() - retention.rows
     )
-    aged, forgotten = clock.rows(connection, retention.row_days, now), list[int]()
+    aged = clock.rows(connection, retention.row_days, now)
+    forgotten: list[int] = []
     for row in connection.execute(
         _may_go(windows.c.signal_let_go_at.is_not(None), alarming=alarms.c.window_id.is_not(None))
     ):
@@ -260,6 +272,7 @@ def forget(connection: Connection, retention: Retention, now: datetime, clock: C
     if forgotten:
         clock.went("rows", len(forgotten) - max(0, surplus))
         theirs = findings.c.window_id.in_(forgotten)
+        # Notices point to findings, and findings to windows: they go in this order.
         finding_notices.forget(connection, theirs)
         finding_hours.add(
             connection,

@@ -58,6 +58,7 @@ def folder_lock(folder: Path) -> Iterator[None]:
             raise ServiceRuns(
                 f"data folder {folder}: a service runs on it already ({holder_name}); {_WAYS_ON}"
             ) from None
+        # Who holds it, for the refusal of another; the lock itself is the system's, not the text.
         os.truncate(descriptor, 0)
         os.pwrite(descriptor, f"{os.getpid()}\n".encode(), 0)
         yield
@@ -95,6 +96,7 @@ def database_lock(
         yield
     finally:
         stopped.set()
+        # The longest that a look waits, and the longest that its question does.
         thread.join(LOOK_EVERY + SILENCE)
         lock.let_go()
 
@@ -104,6 +106,7 @@ class _AdvisoryLock:
 
     def __init__(self, database: Database, identity: str) -> None:
         self._database = database
+        # PostgreSQL numbers its advisory locks by 64 bits with a sign.
         self._number = int.from_bytes(
             hashlib.sha256(identity.encode()).digest()[:8], "big", signed=True
         )
@@ -127,12 +130,15 @@ class _AdvisoryLock:
             if self._free(connection):
                 self._connection = connection
                 return True
+            # After a partition the server may still believe in the session of ours that was lost,
+            # and would hold the lock for it: that one is ended, another service's is not.
             holders = set(connection.scalars(_HOLDERS, {"number": self._number}))
             for ours in holders & self._sessions:
                 connection.execute(text("SELECT pg_terminate_backend(:session)"), {"session": ours})
         except DBAPIError as error:
             raise StorageUnavailable(f"database: {str(error.orig).splitlines()[0]}") from error
         self.let_go()
+        # Ending takes the server a moment: the next look takes the lock.
         if holders <= self._sessions:
             raise StorageUnavailable(
                 "database: a session of this service that held the lock of the data folder ends"

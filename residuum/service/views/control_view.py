@@ -37,8 +37,11 @@ from residuum.service.views.signal_view import read_identified
 from residuum.service.work.jobs import Progress
 
 _FREQUENCIES, _TIMES, _SHOWN_PLANTS = 200, 200, 40
+"""Frequencies, moments and drawn plants at most of a picture."""
 _SHOWN_SETTLING_TIMES, _FEWEST_SAMPLES = 3.0, 40
+"""Median settling times that a step response is shown for, and samples at least."""
 _DIGITS = 6
+"""Of each number that is drawn."""
 
 Follow = Callable[[TransferFunction, TransferFunction, float], FloatArray]
 """What follows a unit step of the reference: (plant, controller, seconds)."""
@@ -66,9 +69,9 @@ def view_control_design(
     mapping
         `feasible`, else `reason`; `frequency` [Hz] of all that is drawn; `uncertainty`; `input` and
         `output` of the plant; `points` of the front with `chosen`, the index of the preferred one.
-        A point has its `controller`, certified `cost`, |S|,
-        |T|, |W_S|, |W_T| and their `total`, the open `loop` with the range over drawn plants, step responses (`time` [s],
-        `nominal`, `drawn`, and the same of the `control` signal u), their `figures`, and `exports`.
+        A point has its `controller`, certified `cost`, |S|, |T|, |W_S|, |W_T| and their `total`,
+        the open `loop` with the range over drawn plants, step responses (`time` [s], `nominal`,
+        `drawn`, and the same of the `control` signal u), their `figures`, and `exports`.
 
     Raises
     ------
@@ -88,6 +91,7 @@ def view_control_design(
         "wishes": wanted.names,
         "limit": wanted.limit,
     }
+    # What an infeasible design can be told with, too: how large the uncertainty is.
     described |= {
         "sample_time": problem.loop.sample_time,
         "uncertainty": _uncertainty(problem),
@@ -136,6 +140,8 @@ def _with_chosen(
         if (point.first, point.second) == (chosen.first, chosen.second)
     )
     return [
+        # The search for the front stops as soon as a pair is feasible: the others are minimised
+        # here.
         chosen if k == index else refined(problem.loop, problem.weights(wishes, point), point)
         for k, point in enumerate(front)
     ], index
@@ -163,6 +169,7 @@ def _uncertainty(problem: ControlProblem) -> dict[str, Any]:
 
 def _promises(problem: ControlProblem, point: Point[Synthesis]) -> dict[str, Any]:
     design = point.design
+    # The certificate of robust stability, ‖W_T T‖∞ < 1, means nothing for an unstable loop.
     norm = (
         h_infinity_norm(weighted_loop(problem.plant, design.controller, W_T=problem.W_T))[0]
         if design.stable
@@ -233,6 +240,8 @@ class _Picture:
         W_S = np.interp(self._omega, self._problem.loop.omega, weights.W_S)
         W_T = np.interp(self._omega, self._problem.loop.omega, weights.W_T)
         parts = [W_S * np.abs(S), W_T * np.abs(L * S)]
+        # |W_S S| + |W_T T| where both stand in one entry, else the norm of the column (W_S S, W_T
+        # T).
         total = parts[0] + parts[1] if weights.entries == "1" else np.hypot(*parts)
         return {
             "S": _plain(np.abs(S)),

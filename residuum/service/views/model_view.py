@@ -10,7 +10,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from datetime import UTC, datetime
 from math import inf
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -46,7 +46,17 @@ from residuum.service.work.worker_pool import RecordParts
 SHOWN_POINTS = 2500
 """Points of a cloud in all."""
 _BINS = 40
+"""Bins of an axis that the mean of a term is drawn over."""
 _SPECTRUM_LINES = 600
+"""Lines of a residual's spectrum that are drawn."""
+
+
+class EffectUse(NamedTuple):
+    """An effect at a balance, an input or an output, and values of its own parameters."""
+
+    effect: str
+    target: str
+    values: Mapping[str, float]
 
 
 def model_of(name: str, text: bytes | None) -> PhysicalModel:
@@ -76,6 +86,7 @@ def view_model(
     progress(0.05, "simulating, and smoothing the missing terms")
     comparison = compare(model_of(name, text), loaded, mapping, level=asked.level, seed=asked.seed)
     progress(0.9, "preparing the charts")
+    # Records one after the other: axes, terms and residuals have one row a sample of all of them.
     axes, terms = term_curves.joined(comparison.axes), _terms(comparison)
     return {
         "comparison": comparison_json(name, [record.source for record in loaded], comparison),
@@ -93,22 +104,22 @@ def effect_curves(
     text: bytes | None,
     records: Sequence[RecordParts],
     mapping: Mapping[str, str],
-    effects: Sequence[tuple[str, str, Mapping[str, float]]],
+    effects: Sequence[EffectUse],
 ) -> Mapping[str, Any]:
-    """What each effect (id, balance, values) would add to its balance, along every axis of the
+    """What each effect would add to its balance, along every axis of the
     model's simulation.
     """
     loaded, curves = [Record(*parts) for parts in records], []
     model, experiments = match(model_of(name, text), loaded, mapping)
-    for index, (id, balance, values) in enumerate(effects):
-        progress(index / len(effects), id)
-        for axis, curve in term_curves.effect_curves(
-            model, experiments, Key(id, balance), values, loaded
-        ):
+    for index, use in enumerate(effects):
+        progress(index / len(effects), use.effect)
+        key = Key(use.effect, use.target)
+        along_axes = term_curves.effect_curves(model, experiments, key, use.values, loaded)
+        for axis, curve in along_axes:
             curves.append(
                 {
-                    "effect": id,
-                    "balance": balance,
+                    "effect": use.effect,
+                    "balance": use.target,
                     "axis": axis.name,
                     "at": curve.at,
                     "value": curve.mean,
@@ -124,9 +135,8 @@ def _terms(comparison: Comparison) -> list[dict[str, Any]]:
     terms: list[dict[str, Any]] = []
     for name in comparison.smoothed[0].missing:
         missing = [smoothed.missing[name] for smoothed in comparison.smoothed]
-        value, std = (
-            np.concatenate([getattr(term, part) for term in missing]) for part in ("value", "std")
-        )
+        value = np.concatenate([term.value for term in missing])
+        std = np.concatenate([term.std for term in missing])
         terms.append(
             {"of": name, "kind": "balance", "unit": missing[0].unit, "value": value, "std": std}
         )
@@ -179,6 +189,7 @@ def _points(
     comparison: Comparison, axes: Sequence[Axis], terms: Sequence[Mapping[str, Any]]
 ) -> dict[str, Any]:
     sizes = [experiment.n for experiment in comparison.experiments]
+    # Every k-th sample, of terms and axes alike, so that a point is one moment.
     shown = slice(None, None, max(1, -(-sum(sizes) // SHOWN_POINTS)))
     time = np.concatenate([e.sample_time * np.arange(e.n) for e in comparison.experiments])
     record = np.repeat(np.arange(len(sizes)), sizes)
@@ -222,6 +233,7 @@ def _spectra(comparison: Comparison) -> Iterator[dict[str, Any]]:
     for k, output in enumerate(comparison.model.outputs.values()):
         if output.name not in comparison.outputs:
             continue
+        # A missing sample adds nothing to the spectrum of the others, as a zero does.
         error = np.where(np.isfinite(residuals[:, k]), residuals[:, k], 0.0)
         amplitude = extremes(
             np.abs(np.fft.rfft(error))[1:] / np.sqrt(experiment.n), _SPECTRUM_LINES
@@ -235,6 +247,9 @@ def _spectra(comparison: Comparison) -> Iterator[dict[str, Any]]:
 ESTIMATED_SHARE = 0.7
 """Part of each record that the parameters are estimated from; errors are told of the rest."""
 _FEWEST_HELD_OUT = 50
+"""Samples of each record that its error is told of, or it is told of those that were estimated
+from.
+"""
 
 
 def add_effect(
@@ -243,9 +258,7 @@ def add_effect(
     text: bytes | None,
     records: Sequence[RecordParts],
     mapping: Mapping[str, str],
-    effect: str,
-    target: str,
-    values: Mapping[str, float],
+    added: EffectUse,
 ) -> Mapping[str, Any]:
     """The model with one more effect, all free parameters estimated, and how its error fell.
 
@@ -253,7 +266,7 @@ def add_effect(
     model with the effect the smaller error; their bands know the colour of the noise. `errors` are
     RMS simulation errors of every output on the rest (on the same data when the rest is too short:
     `held_out` says which): of the model as given, with its own parameters estimated, and with the
-    effect. `values` are where the effect's parameters start.
+    effect. `added.values` are where the effect's parameters start.
 
     Raises
     ------
@@ -264,6 +277,7 @@ def add_effect(
     """
     loaded = [Record(*parts) for parts in records]
     given = model_of(name, text)
+    effect, target, values = added
     given.with_effect(effect, target, values)  # refused before anything is estimated
     matched, experiments = match(given, loaded, mapping)
     training, held_out = _parts(experiments)
@@ -274,9 +288,11 @@ def add_effect(
     timed, after = at_likelier_timing(
         training, lambda tried: with_coloured_noise(estimate(larger, tried), tried)
     )
+    # At another input timing the model as it is has another error, to be compared with the new one.
     if timed[0] is not training[0]:
         before = estimate(matched, timed)
     progress(0.8, "simulating what was held out")
+    # Both models on the same data, at the timing that was found.
     checked = [replace(e, hold=t.hold) for e, t in zip(held_out or training, timed, strict=True)]
     errors = {
         "as_given": _errors(matched, checked),
@@ -304,6 +320,7 @@ def add_effect(
 
 def _parts(experiments: Sequence[Experiment]) -> tuple[list[Experiment], list[Experiment] | None]:
     cuts = [round(ESTIMATED_SHARE * e.n) for e in experiments]
+    # All records or none: errors of a part of them would not be those that were asked for.
     if any(e.n - cut < _FEWEST_HELD_OUT for e, cut in zip(experiments, cuts, strict=True)):
         return list(experiments), None
     pairs = list(zip(experiments, cuts, strict=True))
@@ -424,7 +441,8 @@ def with_parameters(model: PhysicalModel, changes: Mapping[str, Mapping[str, Any
     `lower`, `upper` (None: no bound) or `fixed`. BadModel for an unknown name, or for what no model
     file may hold (a value outside its bounds).
     """
-    if unknown := [name for name in changes if name not in model.all_parameters]:
+    unknown = [name for name in changes if name not in model.all_parameters]
+    if unknown:
         known = known_names(unknown[0], model.all_parameters, "there are")
         raise BadModel(f"model {model.name!r}: no parameter {unknown[0][:60]!r}; {known}")
     changed = {
@@ -444,6 +462,7 @@ def with_parameters(model: PhysicalModel, changes: Mapping[str, Mapping[str, Any
             model, parameters={name: changed[name] for name in model.parameters}, effects=effects
         )
     )
+    # What is stored can be read: whatever the file's rules refuse is refused here.
     read_model(text, model.name)
     return text
 

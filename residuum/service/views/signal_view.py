@@ -18,12 +18,21 @@ import numpy.typing as npt
 from residuum.array_types import FloatArray
 from residuum.diagnosis.residuals.residual_design import ResidualDesign
 from residuum.diagnosis.residuals.residual_detection import Detection, detect
+from residuum.identification.errors import BadInput
 from residuum.identification.linear_models.identified_model import IdentifiedModel
 from residuum.identification.linear_models.identified_model_file import load_identified
 from residuum.identification.record import Record
 from residuum.library.questions.residual import DesignResidual, RunResidual, residual_for
+from residuum.service.store import ReadInPieces
 from residuum.service.work.jobs import Progress
 from residuum.service.work.worker_pool import RecordParts
+
+_MOST_SHOWN, _FEWEST = 100_000, 10
+"""Intervals of all channels together, and of each: written as JSON in some 20 ms, in which nothing
+else is done.
+"""
+_NEXT = 1e-6
+"""Of a sample: a time that is printed as a sample's own means that sample."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,7 +60,8 @@ def extremes(signal: npt.NDArray[Any], most: int) -> Extremes:
     whole = n // samples
     body = signal[: whole * samples].reshape(whole, samples)
     lowest, highest = np.fmin.reduce(body, axis=1), np.fmax.reduce(body, axis=1)
-    if remainder := n - whole * samples:
+    remainder = n - whole * samples
+    if remainder:
         lowest = np.append(lowest, np.fmin.reduce(signal[-remainder:]))
         highest = np.append(highest, np.fmax.reduce(signal[-remainder:]))
     return Extremes(samples, lowest.astype(np.float64), highest.astype(np.float64))
@@ -60,24 +70,24 @@ def extremes(signal: npt.NDArray[Any], most: int) -> Extremes:
 def extremes_of_pieces(pieces: Iterator[npt.NDArray[Any]], n: int, most: int) -> Extremes:
     """`extremes` of a signal of n samples that comes piece by piece.
 
-    >>> extremes_of_pieces(iter([np.array([0.0, 5.0, -1.0]), np.array([2.0, np.nan])]), 5, 3).maximum.tolist()
+    >>> pieces = iter([np.array([0.0, 5.0, -1.0]), np.array([2.0, np.nan])])
+    >>> extremes_of_pieces(pieces, 5, 3).maximum.tolist()
     [5.0, 2.0, nan]
     """
     samples = max(1, -(-n // most))
     reduced, held = list[Extremes](), np.empty(0)
     for piece in pieces:
         held = np.concatenate([held, piece]) if len(held) else piece
-        if whole := len(held) // samples:
+        whole = len(held) // samples
+        if whole:
             reduced.append(extremes(held[: whole * samples], whole))
             held = held[whole * samples :]
     if len(held):
         reduced.append(extremes(held, 1))
     return Extremes(
         samples,
-        *(
-            np.concatenate([getattr(part, end) for part in reduced])
-            for end in ("minimum", "maximum")
-        ),
+        np.concatenate([part.minimum for part in reduced]),
+        np.concatenate([part.maximum for part in reduced]),
     )
 
 
@@ -89,9 +99,52 @@ def stretch(
     """
     begin = 0
     for piece in pieces:
-        if len(inside := piece[max(0, first - begin) : max(0, last - begin)]):
+        inside = piece[max(0, first - begin) : max(0, last - begin)]
+        if len(inside):
             yield inside
         begin += len(piece)
+
+
+def signal_view(
+    record: ReadInPieces, points: int, begin: float, end: float | None
+) -> dict[str, Any]:
+    """The `SignalAnswer` of a stretch of a record, without the window's number; BadInput when the
+    stretch is empty.
+    """
+    first = min(int(begin / record.sample_time + _NEXT), record.n)
+    last = record.n if end is None else min(record.n, int(end / record.sample_time + _NEXT) + 1)
+    if last <= first:
+        raise BadInput(
+            f"query, from and to: no sample in {begin} … {end} s; the window lasts"
+            f" {record.n * record.sample_time:.6g} s"
+        )
+    # All channels share what an answer may hold, so that a window of many does not take longer.
+    points = min(points, max(_FEWEST, _MOST_SHOWN // len(record.units)))
+    samples = max(1, -(-(last - first) // points))
+    # Two samples an interval would be told by two numbers each: they are given as they are.
+    reduced = samples > 2
+    channels = {
+        name: {
+            "unit": unit,
+            **_values(stretch(record.pieces(name), first, last), last - first, points, reduced),
+        }
+        for name, unit in record.units.items()
+    }
+    interval = record.sample_time * (samples if reduced else 1)
+    return {
+        "start": first * record.sample_time,
+        "interval": interval,
+        "reduced": reduced,
+        "n": last - first,
+        "channels": channels,
+    }
+
+
+def _values(pieces: Iterator[Any], n: int, points: int, reduced: bool) -> dict[str, Any]:
+    if not reduced:
+        return {"values": np.concatenate(list(pieces))}
+    envelope = extremes_of_pieces(pieces, n, points)
+    return {"minimum": envelope.minimum, "maximum": envelope.maximum}
 
 
 # What a page draws of a residual generator: residual and statistic over time, and what a fault of
@@ -99,6 +152,7 @@ def stretch(
 # The work of a job.
 
 _POINTS, _LEVELS = 1500, 200
+"""Intervals of a residual that are drawn, and levels of its operating characteristic."""
 
 
 def read_identified(content: bytes) -> IdentifiedModel:

@@ -31,7 +31,7 @@ from residuum.library.questions.simulate import Simulate
 from residuum.library.questions.uncertainty import Uncertainty
 from residuum.service import problems
 from residuum.service.api import analyses, simulations
-from residuum.service.api.json_response import Json, StrictRoute
+from residuum.service.api.responses import Json, StrictRoute
 from residuum.service.api.uncertainties import StoredUncertainty
 from residuum.service.commands import as_option
 from residuum.service.commands.asked import asks

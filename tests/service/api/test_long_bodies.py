@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from residuum.service import model_files
-from residuum.service.api import json_response, signal_body
+from residuum.service.api import responses, signal_body
 from residuum.service.app import watch_loop
 from residuum.service.work.loaded_modules import settle_memory
 
@@ -142,7 +142,7 @@ def test_readers_that_take_long_hold_up_neither_the_loop_nor_other_routes(client
 def test_a_question_is_short(client, refused):
     kind = {"Content-Type": "application/json"}
     path = "/api/v1/models/gate-drive/compare"
-    status, says = refused("POST", path, content=b" " * (json_response._LARGEST + 1), headers=kind)
+    status, says = refused("POST", path, content=b" " * (responses._LARGEST + 1), headers=kind)
     assert status == 413 and "no more are read here" in says
     status, says = refused("POST", path, content=b"[" + b"[]," * 60_000 + b"[]]", headers=kind)
     assert (status, says) == (413, "body: more than 50000 lists and objects; no more are read here")

@@ -23,13 +23,16 @@ def database(tmp_path):
     database.close()
 
 
+def follow(connection, asset, finding, now=NOW, rule=PLAIN):
+    window = alarms.JudgedWindow(None, finding, rule, now, seen_at=now)
+    return alarms.follow(connection, asset, window)
+
+
 def see(connection, asset, verdict, seconds_ago, rule=PLAIN):
     now = NOW - timedelta(seconds=seconds_ago)
     assets.ensure(connection, asset, None, "bearing", now)
-    followed = alarms.follow(
-        connection, asset, None, Finding("bearing", verdict, reason="-"), now, rule
-    )
-    return [each.alarm for each in followed]
+    followed = follow(connection, asset, Finding("bearing", verdict, reason="-"), now, rule)
+    return [change.alarm for change in followed]
 
 
 def test_a_flood_a_chattering_and_a_stale_alarm(database):
@@ -79,8 +82,8 @@ def test_delays_deadband_and_latch_hold_for_stored_alarms(database):
         near = Finding(
             "bearing", "healthy", indicators={"rms": 0.95}, thresholds={"rms": 1.0}, reason="-"
         )
-        assert alarms.follow(connection, "a", None, near, NOW, AlarmRule(deadband=0.1)) == []
-        assert len(alarms.follow(connection, "a", None, near, NOW, AlarmRule())) == 1
+        assert follow(connection, "a", near, rule=AlarmRule(deadband=0.1)) == []
+        assert len(follow(connection, "a", near)) == 1
 
 
 def test_limits_that_hold_again_clear_the_alarm_of_a_machine_without_baseline(database):
@@ -89,5 +92,5 @@ def test_limits_that_hold_again_clear_the_alarm_of_a_machine_without_baseline(da
     ).without_baseline("kurtosis")
     with database.write() as connection:
         see(connection, "a", "faulty", 100)
-        (cleared,) = alarms.follow(connection, "a", None, calm, NOW, PLAIN)
+        (cleared,) = follow(connection, "a", calm)
         assert (cleared.alarm.kind, cleared.alarm.condition) == ("machine", False)

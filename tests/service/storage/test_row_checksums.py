@@ -30,13 +30,6 @@ ODD = {
 }
 
 
-@pytest.fixture(params=["sqlite", "postgresql"])
-def url(request, tmp_path):
-    if request.param == "sqlite":
-        return f"sqlite:///{tmp_path / 'store.db'}"
-    return request.getfixturevalue("new_postgresql_database")()
-
-
 @pytest.fixture
 def store(tmp_path, url):
     store = DiskStore(tmp_path, url)

@@ -21,13 +21,6 @@ RECORD = Record({"speed": np.zeros(4)}, {"speed": "rpm"}, 1.0)
 STANDS = {"signal": "speed", "unit": "rpm", "below": 60}
 
 
-@pytest.fixture(params=["sqlite", "postgresql"])
-def url(request, tmp_path):
-    if request.param == "sqlite":
-        return f"sqlite:///{tmp_path / 'store.db'}"
-    return request.getfixturevalue("new_postgresql_database")()
-
-
 @pytest.fixture
 def store(tmp_path, url):
     rules = {"stands": AlarmRule(suppress=[STANDS])}

@@ -56,12 +56,12 @@ def page(
     if cursor:
         query = query.where(alarm_journal.c.id < paging.decode_number(cursor))
     raised = connection.execute(query).all()
-    later, causes = _what_followed(connection, raised), _findings_that_raised(connection, raised)
+    followed, causes = _what_followed(connection, raised), _findings_that_raised(connection, raised)
     return paging.page(
         raised,
         limit,
         "id",
-        lambda row: _occurrence(row, later[row.id], causes.get((row.asset_id, row.at))),
+        lambda row: _occurrence(row, followed[row.id], causes.get((row.asset_id, row.at))),
     )
 
 
@@ -71,6 +71,7 @@ def _what_followed(connection: Connection, raised: Sequence[Row[Any]]) -> dict[i
     if not raised:
         return followed
     alarm_ids = {row.alarm_id for row in raised}
+    # the oldest of the page: what came before it belongs to an earlier occurrence
     since = alarm_journal.c.id >= raised[-1].id
     entries = (
         select(alarm_journal)
@@ -81,6 +82,7 @@ def _what_followed(connection: Connection, raised: Sequence[Row[Any]]) -> dict[i
     for entry in connection.execute(entries):
         if entry.event == AlarmEvent.RAISE.value:
             last[entry.alarm_id] = entry.id
+        # an entry before the first raise of the page ends an occurrence that is not on it
         elif entry.alarm_id in last:
             followed[last[entry.alarm_id]].append(entry)
     return followed
@@ -107,12 +109,12 @@ def _findings_that_raised(
 def _occurrence(
     row: Row[Any], entries: Sequence[Row[Any]], cause: Row[Any] | None
 ) -> AlarmOccurrence:
-    damaged = any(row_checks.differs(alarm_journal, change._mapping) for change in (row, *entries))
-    first = {
-        event: next((change for change in entries if change.event == event.value), None)
-        for event in AlarmEvent
-    }
-    cleared, acknowledged = first[AlarmEvent.CLEAR], first[AlarmEvent.ACKNOWLEDGE]
+    damaged = any(row_checks.differs(alarm_journal, entry._mapping) for entry in (row, *entries))
+    cleared = _first(entries, AlarmEvent.CLEAR)
+    acknowledged = _first(entries, AlarmEvent.ACKNOWLEDGE)
+    message = None if cause is None else _says(cause)
+    if damaged:
+        message = f"alarm {row.alarm_id}, its journal: {row_checks.TELLS}"
     return AlarmOccurrence(
         id=row.id,
         alarm=row.alarm_id,
@@ -123,21 +125,15 @@ def _occurrence(
         acknowledged_at=None if acknowledged is None else acknowledged.at,
         acknowledged_by=None if acknowledged is None else acknowledged.by,
         comments=[entry.comment for entry in entries if entry.comment],
-        message=(
-            f"alarm {row.alarm_id}, its journal: {row_checks.TELLS}"
-            if damaged
-            else None
-            if cause is None
-            else _says(cause)
-        ),
-        times_threshold=(
-            None
-            if cause is None or row_checks.differs(findings, cause._mapping)
-            else _times_threshold(cause)
-        ),
+        message=message,
+        times_threshold=None if cause is None else _times_threshold(cause),
         window=None if cause is None else cause.window_id,
         priority=row.priority,
     )
+
+
+def _first(entries: Sequence[Row[Any]], event: AlarmEvent) -> Row[Any] | None:
+    return next((entry for entry in entries if entry.event == event.value), None)
 
 
 def _says(cause: Row[Any]) -> str:
@@ -148,8 +144,10 @@ def _says(cause: Row[Any]) -> str:
 
 def _times_threshold(cause: Row[Any]) -> float | None:
     """How far the indicator that is furthest above its threshold lies above it; None where none has
-    a threshold.
+    a threshold, or the finding is damaged.
     """
+    if row_checks.differs(findings, cause._mapping):
+        return None
     limits = {
         name: limit for name, limit in cause.thresholds.items() if limit is not None and limit > 0
     }

@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from datetime import datetime
 from typing import Any
@@ -37,67 +37,43 @@ _NEVER_RAISED = {
     "message": "",
     "occurrences": 0,
 }
-_SHOWN: dict[Verdict, tuple[tuple[str, bool], ...]] = {
+_CONDITIONS: dict[Verdict, tuple[tuple[str, bool], ...]] = {
     Verdict.FAULTY: ((MACHINE, True), (SIGNAL, False)),
     Verdict.HEALTHY: ((MACHINE, False), (SIGNAL, False)),
     # A window that cannot be judged says nothing about the machine: its alarm stays as it is.
     Verdict.NOT_ASSESSABLE: ((SIGNAL, True),),
 }
-
-
-def follow(
-    connection: Connection,
-    asset: str,
-    window: int,
-    finding: Finding,
-    now: datetime,
-    rule: AlarmRule,
-    seen_at: datetime | None = None,
-    aside: str | None = "",
-) -> list[Followed]:
-    """Let an asset's alarms follow a finding; returns the alarms that changed their state, or their
-    text with a worse finding.
-
-    Parameters
-    ----------
-    seen_at : datetime or None
-        The window's own time, by which delays count; None: now.
-    aside : str or None
-        The state of the machine that suppresses its alarms; empty for none, None where the window
-        does not tell: then what is suppressed stays so, and nothing else becomes it.
-    """
-    if finding.only_recorded:
-        return []
-    stored = connection.execute(select(alarms).where(alarms.c.asset_id == asset)).all()
-    rows = {row.kind: _begun_anew(connection, row, now) if _differs(row) else row for row in stored}
-    seen = _Seen(window, finding, rule, seen_at or now, aside or "", now)
-    changed = []
-    if seen.aside:  # whatever the window says: most windows of a machine that stands tell nothing
-        for kind in [kind for kind, row in rows.items() if row.state in _LISTED]:
-            changed.append(_suppressed(connection, rows[kind], seen.aside, now))
-            rows[kind] = _row(connection, rows[kind].id)
-    for kind, faulty in _SHOWN[seen.verdict]:
-        if faulty or kind in rows:
-            row = rows.get(kind) or _new(connection, asset, kind)
-            changed += _shown(connection, row, faulty, seen)
-    if seen.verdict is Verdict.NOT_ASSESSABLE and MACHINE in rows:
-        judged_at = alarm_states.unjudged(_status(rows[MACHINE])).judged_at
-        _put(connection, rows[MACHINE].id, {"judged_at": judged_at})
-    if aside == "" and any(row.suppressed_by for row in rows.values()):
-        changed += _released(connection, asset, now)
-    return changed
+"""Verdict → the kinds of alarms that it tells of, each with whether its condition is shown."""
+_LISTED = tuple(state.value for state in ACTIVE)
 
 
 @dataclass(frozen=True)
-class _Seen:
-    """A window that alarms follow: its finding, its own time, and the state that puts them aside."""
+class JudgedWindow:
+    """A window that the alarms of its asset follow.
 
-    window: int
+    Attributes
+    ----------
+    number : int
+        Of the window's row.
+    finding : Finding
+    rule : AlarmRule
+        Of the asset.
+    now : datetime
+        When it is stored, which journal and audit trail note.
+    seen_at : datetime
+        The window's own time, by which delays count: windows that a gateway sends late were not
+        seen at once.
+    suppressing_state : str or None
+        The state of the machine that suppresses its alarms; empty for none, None where the window
+        does not tell: then what is suppressed stays so, and nothing else becomes it.
+    """
+
+    number: int
     finding: Finding
     rule: AlarmRule
-    at: datetime
-    aside: str
     now: datetime
+    seen_at: datetime
+    suppressing_state: str | None = ""
 
     @property
     def verdict(self) -> Verdict:
@@ -112,66 +88,103 @@ class _Seen:
         # none stood above a threshold of its own: any counts
         raised_by = json.loads(row.raised_by or "[]") or None
         indicators, thresholds = self.finding.indicators, self.finding.thresholds
+        # An indicator that was never above its threshold must not hold the alarm of another one.
         standing = row.kind == MACHINE and row.condition
         return standing and in_deadband(self.rule, indicators, thresholds, raised_by)
 
 
-def _shown(connection: Connection, row: Row[Any], faulty: bool, seen: _Seen) -> list[Followed]:
-    """What becomes of one alarm."""
+@dataclass(frozen=True)
+class JournalNote:
+    """What the journal and the audit trail say of a change; `by` None is the service itself."""
+
+    event: AlarmEvent
+    at: datetime
+    by: str | None = None
+    comment: str | None = None
+
+
+def follow(connection: Connection, asset: str, window: JudgedWindow) -> list[Followed]:
+    """Let an asset's alarms follow a window; returns the alarms that changed their state, or their
+    text with a worse finding.
+    """
+    # Windows that are only kept for a baseline to come are no judgement of the machine.
+    if window.finding.only_recorded:
+        return []
+    rows = _rows_by_kind(connection, asset, window.now)
+    changed: list[Followed] = []
+    # First, whatever the window says: most windows of a machine that stands tell nothing.
+    if window.suppressing_state:
+        changed += _suppress_listed(connection, rows, window)
+    for kind, faulty in _CONDITIONS[window.verdict]:
+        row = rows.get(kind)
+        # An alarm has a row from its first fault on: healthy windows of an asset write none.
+        if row is None and faulty:
+            row = _new(connection, asset, kind)
+        if row is not None:
+            changed += _shown(connection, row, faulty, window)
+    if window.verdict is Verdict.NOT_ASSESSABLE and MACHINE in rows:
+        judged_at = alarm_states.unjudged(_status(rows[MACHINE])).judged_at
+        _put(connection, rows[MACHINE].id, {"judged_at": judged_at})
+    # Last, so that an alarm comes back onto the list by the condition that this window showed.
+    if window.suppressing_state == "":
+        changed += _released(connection, rows, window.now)
+    return changed
+
+
+def _rows_by_kind(connection: Connection, asset: str, now: datetime) -> dict[str, Row[Any]]:
+    """The asset's alarms; damaged ones begin anew."""
+    stored = connection.execute(select(alarms).where(alarms.c.asset_id == asset)).all()
+    return {row.kind: _begun_anew(connection, row, now) if _differs(row) else row for row in stored}
+
+
+def _suppress_listed(
+    connection: Connection, rows: dict[str, Row[Any]], window: JudgedWindow
+) -> list[Followed]:
+    """Take the alarms on the list off it; `rows` then has them as they are."""
     changed = []
-    if seen.aside and faulty and row.state == AlarmState.NORMAL.value:
-        changed.append(_suppressed(connection, row, seen.aside, seen.now))
+    for kind, row in rows.items():
+        if row.state in _LISTED:
+            changed.append(_suppressed(connection, row, window))
+            rows[kind] = _row(connection, row.id)
+    return changed
+
+
+def _shown(
+    connection: Connection, row: Row[Any], faulty: bool, window: JudgedWindow
+) -> list[Followed]:
+    """What becomes of one alarm whose condition a window shows, or shows no more."""
+    changed = []
+    # An alarm that the fault would raise is suppressed before it is: it must not come onto the
+    # list for the moment in between.
+    if window.suppressing_state and faulty and row.state == AlarmState.NORMAL.value:
+        changed.append(_suppressed(connection, row, window))
         row = _row(connection, row.id)
-    condition = faulty or seen.keeps(row)
-    status, event = alarm_states.follow(_status(row), condition, seen.rule, seen.at)
-    alarm = _follow_one(
-        connection,
-        row,
-        status,
-        event,
-        window=seen.window,
-        finding=seen.finding if faulty else None,
-        rule=seen.rule,
-        now=seen.now,
-    )
+    alarm = _follow_one(connection, row, faulty, window)
     return changed if alarm is None else [*changed, alarm]
 
 
-_LISTED = tuple(state.value for state in ACTIVE)
-
-
-def _suppressed(connection: Connection, row: Row[Any], aside: str, now: datetime) -> Followed:
+def _suppressed(connection: Connection, row: Row[Any], window: JudgedWindow) -> Followed:
     """An alarm that means nothing in the state that its machine is in: off the list by itself."""
-    changes = {"state": AlarmState.SUPPRESSED.value, "suppressed_by": aside}
-    event = AlarmEvent.SUPPRESS
-    return Followed(_change(connection, row.id, changes, event, by=None, comment=aside, now=now))
+    state = window.suppressing_state
+    changes = {"state": AlarmState.SUPPRESSED.value, "suppressed_by": state}
+    note = JournalNote(AlarmEvent.SUPPRESS, window.now, comment=state)
+    return Followed(_change(connection, row.id, changes, note))
 
 
-def _released(connection: Connection, asset: str, now: datetime) -> list[Followed]:
+def _released(
+    connection: Connection, rows: Mapping[str, Row[Any]], now: datetime
+) -> list[Followed]:
     """The alarms of a machine that has left the state that suppressed them, as their conditions
     are.
     """
-    hidden = (
-        (alarms.c.asset_id == asset)
-        & (alarms.c.state == AlarmState.SUPPRESSED.value)
-        & alarms.c.suppressed_by.is_not(None)
-    )
-    rows = connection.execute(select(alarms).where(hidden).order_by(alarms.c.id)).all()
-    return [
-        Followed(
-            operate(
-                connection,
-                row.id,
-                AlarmEvent.RELEASE,
-                by=None,
-                comment=None,
-                until=None,
-                now=now,
-            )
-        )
-        for row in rows
-        if not _differs(row)
+    # What an operator suppressed has no state of the machine, and waits for the operator.
+    hidden = [
+        row.id
+        for row in rows.values()
+        if row.state == AlarmState.SUPPRESSED.value and row.suppressed_by is not None
     ]
+    note = JournalNote(AlarmEvent.RELEASE, now)
+    return [Followed(operate(connection, alarm, note)) for alarm in sorted(hidden)]
 
 
 @dataclass(frozen=True)
@@ -187,30 +200,26 @@ class Followed:
 
 
 def operate(
-    connection: Connection,
-    alarm: int,
-    event: AlarmEvent,
-    *,
-    by: str | None,
-    comment: str | None,
-    until: datetime | None,
-    now: datetime,
+    connection: Connection, alarm: int, note: JournalNote, until: datetime | None = None
 ) -> Alarm:
-    """What an operator asks for; IllegalTransition when the state does not allow it."""
+    """What an operator asks for, `until` of shelving; IllegalTransition when the state does not
+    allow it.
+    """
     row = _row(connection, alarm)
     if _differs(row):
         raise row_checks.refuse(f"alarm {alarm}, which begins anew with its machine's next window")
-    state = alarm_states.operate(_status(row), event).state
+    state = alarm_states.operate(_status(row), note.event).state
     changes: dict[str, Any] = {
         "state": state.value,
         "shelved_until": until if state is AlarmState.SHELVED else None,
+        # Whatever an operator does ends what the machine's state did: it will not release it.
         "suppressed_by": None,
     }
-    if comment is not None:
-        changes["comment"] = comment
-    if event is AlarmEvent.ACKNOWLEDGE:
-        changes |= {"acknowledged_at": now, "acknowledged_by": by}
-    return _change(connection, alarm, changes, event, by=by, comment=comment, now=now)
+    if note.comment is not None:
+        changes["comment"] = note.comment
+    if note.event is AlarmEvent.ACKNOWLEDGE:
+        changes |= {"acknowledged_at": note.at, "acknowledged_by": note.by}
+    return _change(connection, alarm, changes, note)
 
 
 def unshelve_expired(connection: Connection, now: datetime) -> list[Alarm]:
@@ -218,11 +227,10 @@ def unshelve_expired(connection: Connection, now: datetime) -> list[Alarm]:
     query = select(alarms).where(
         alarms.c.state == AlarmState.SHELVED.value, alarms.c.shelved_until <= now
     )
+    # all read before the first is changed: the query's rows are of the table that is written
     expired = [row.id for row in connection.execute(query) if not _differs(row)]
-    return [
-        operate(connection, alarm, AlarmEvent.UNSHELVE, by=None, comment=None, until=None, now=now)
-        for alarm in expired
-    ]
+    note = JournalNote(AlarmEvent.UNSHELVE, now)
+    return [operate(connection, alarm, note) for alarm in expired]
 
 
 def get(connection: Connection, alarm: int) -> Alarm:
@@ -312,60 +320,71 @@ def _begun_anew(connection: Connection, row: Row[Any], now: datetime) -> Row[Any
     )
     connection.execute(update(alarms).where(alarms.c.id == row.id).values(values))
     comment = "its row differed from its checksum: it begins anew"
-    _change(connection, row.id, {}, AlarmEvent.RESET, by=None, comment=comment, now=now)
+    _change(connection, row.id, {}, JournalNote(AlarmEvent.RESET, now, comment=comment))
     return _row(connection, row.id)
 
 
 def _follow_one(
-    connection: Connection,
-    row: Row[Any],
-    after: AlarmStatus,
-    event: AlarmEvent | None,
-    *,
-    window: int,
-    finding: Finding | None,
-    rule: AlarmRule,
-    now: datetime,
+    connection: Connection, row: Row[Any], faulty: bool, window: JudgedWindow
 ) -> Followed | None:
-    changes: dict[str, Any] = asdict(after) | {"state": after.state.value}
-    worse = {}
-    if after.condition and finding is not None and row.kind == MACHINE:
-        before = (
-            json.loads(row.raised_by) if row.raised_by and event is not AlarmEvent.RAISE else []
-        )
-        changes["raised_by"] = json.dumps(
-            sorted({*before, *beyond(finding.indicators, finding.thresholds)})
-        )
-    if after.condition and finding is not None:
-        worst = severity(finding.indicators, finding.thresholds)
-        if event is AlarmEvent.RAISE or row.worst is None or worst >= row.worst:
-            worse = {
-                "message": _message(finding),
-                "window_id": window,
-                "worst": worst,
-                "worst_at": now,
-            }
-    changes |= worse
+    """The alarm, where its state or its text changed; its row keeps what its delays count."""
+    condition = faulty or window.keeps(row)
+    status, event = alarm_states.follow(_status(row), condition, window.rule, window.seen_at)
+    changes: dict[str, Any] = asdict(status) | {"state": status.state.value}
+    text: dict[str, Any] = {}
+    if status.condition and faulty:
+        text = _text_of_worse(row, event, window)
+        if row.kind == MACHINE:
+            changes["raised_by"] = _raised_by(row, event, window.finding)
+    changes |= text
     if event is AlarmEvent.RAISE:
-        priority = rule.priority(row.kind)
-        changes["priority"] = None if priority is None else priority.value
-        changes |= {"raised_at": now, "cleared_at": None, "occurrences": row.occurrences + 1}
-        if after.state is AlarmState.UNACKNOWLEDGED:
-            changes |= {"acknowledged_at": None, "acknowledged_by": None, "comment": None}
+        changes |= _raising(row, status, window)
     if event is AlarmEvent.CLEAR:
-        changes["cleared_at"] = now
+        changes["cleared_at"] = window.now
     if event is not None:
-        return Followed(
-            _change(
-                connection, row.id, changes, event, by=None, comment=None, now=now, flood=rule.flood
-            )
-        )
+        note = JournalNote(event, window.now)
+        return Followed(_change(connection, row.id, changes, note, flood=window.rule.flood))
     changed = _put(connection, row.id, changes)
-    return (
-        Followed(_alarm(changed), text_alone=True)
-        if worse and changed.message != row.message
-        else None
-    )
+    if text and changed.message != row.message:
+        return Followed(_alarm(changed), text_alone=True)
+    return None
+
+
+def _raised_by(row: Row[Any], event: AlarmEvent | None, finding: Finding) -> str:
+    """The indicators that were above their thresholds since the alarm was raised, as JSON: the
+    deadband holds for these alone.
+    """
+    before = json.loads(row.raised_by) if row.raised_by and event is not AlarmEvent.RAISE else []
+    return json.dumps(sorted({*before, *beyond(finding.indicators, finding.thresholds)}))
+
+
+def _text_of_worse(row: Row[Any], event: AlarmEvent | None, window: JudgedWindow) -> dict[str, Any]:
+    """What the alarm says, where this finding is as bad as any since it was raised: an operator
+    reads the worst, not the last.
+    """
+    worst = severity(window.finding.indicators, window.finding.thresholds)
+    if event is not AlarmEvent.RAISE and row.worst is not None and worst < row.worst:
+        return {}
+    return {
+        "message": _message(window.finding),
+        "window_id": window.number,
+        "worst": worst,
+        "worst_at": window.now,
+    }
+
+
+def _raising(row: Row[Any], status: AlarmStatus, window: JudgedWindow) -> dict[str, Any]:
+    priority = window.rule.priority(row.kind)
+    changes: dict[str, Any] = {
+        "priority": None if priority is None else priority.value,
+        "raised_at": window.now,
+        "cleared_at": None,
+        "occurrences": row.occurrences + 1,
+    }
+    # An alarm raised while it is shelved or out of service keeps who put it there, and why.
+    if status.state is AlarmState.UNACKNOWLEDGED:
+        changes |= {"acknowledged_at": None, "acknowledged_by": None, "comment": None}
+    return changes
 
 
 def _status(row: Row[Any]) -> AlarmStatus:
@@ -383,29 +402,27 @@ def _change(
     connection: Connection,
     alarm: int,
     changes: dict[str, Any],
-    event: AlarmEvent,
-    *,
-    by: str | None,
-    comment: str | None,
-    now: datetime,
+    note: JournalNote,
     flood: int = 0,
 ) -> Alarm:
+    """Change an alarm, with its entries in journal and audit trail and its notice for receivers,
+    in one transaction: none of them tells of a change that was not kept.
+    """
     row = _put(connection, alarm, changes)
     entry = {
         "alarm_id": alarm,
-        "at": now,
-        "event": event.value,
+        "at": note.at,
+        "event": note.event.value,
         "state": row.state,
-        "by": by,
-        "comment": comment,
+        "by": note.by,
+        "comment": note.comment,
     }
     connection.execute(insert(alarm_journal).values(row_checks.sealed(alarm_journal, entry)))
-    detail = {"asset": row.asset_id, "kind": row.kind, "state": row.state, "comment": comment}
-    audit.append(
-        connection, f"alarm {event.value}", f"alarm {alarm}", by=by, now=now, detail=detail
-    )
+    action, subject = f"alarm {note.event.value}", f"alarm {alarm}"
+    detail = {"asset": row.asset_id, "kind": row.kind, "state": row.state, "comment": note.comment}
+    audit.append(connection, action, subject, by=note.by, now=note.at, detail=detail)
     changed = _alarm(row)
-    if not alarm_floods.takes(connection, event, flood, now):
+    if not alarm_floods.takes(connection, note.event, flood, note.at):
         outbox.add(connection, changed)
     return changed
 

@@ -13,7 +13,7 @@ from residuum.service.storage.rows import paging, row_checks
 from residuum.service.storage.tables import assets, findings, windows
 from residuum.service.store import Asset, IndicatorHistory, NotFound, Page, StoredFinding
 
-DOCUMENTS = (
+_DOCUMENTS = (
     findings.c.indicators,
     findings.c.thresholds,
     findings.c.units,
@@ -108,9 +108,8 @@ def page(
     query = _with_finding().where(paging.of_sites(assets.c.id, sites)).order_by(assets.c.id)
     if cursor:
         query = query.where(assets.c.id > paging.decode(cursor))
-    return paging.page_by_bytes(
-        connection, query, assets.c.id, DOCUMENTS, limit, "assets_id", _asset
-    )
+    listing = paging.Listing(query, assets.c.id, _DOCUMENTS)
+    return paging.page_by_bytes(connection, listing, limit, "assets_id", _asset)
 
 
 def findings_page(
@@ -130,9 +129,7 @@ def findings_page(
             (findings.c.verdict == verdict)
             | findings.c.verdict.not_in([member.value for member in Verdict])
         )
-    return paging.page_by_bytes(
-        connection, query, findings.c.id, DOCUMENTS, limit, "id", stored_finding
-    )
+    return paging.page_by_bytes(connection, _listing(query), limit, "id", stored_finding)
 
 
 def recorded_windows(connection: Connection, asset: str, limit: int = 500) -> Sequence[int]:
@@ -147,6 +144,7 @@ def recorded_windows(connection: Connection, asset: str, limit: int = 500) -> Se
         findings.c.evidence[RECORDED].as_boolean(), windows.c.signal_let_go_at.is_(None)
     )
     return (
+        # the newest of them, told oldest first
         connection.execute(query.order_by(findings.c.id.desc()).limit(limit)).scalars().all()[::-1]
     )
 
@@ -157,8 +155,31 @@ def findings_after(
     """The first findings of an asset with a larger number, oldest first."""
     after = (findings.c.asset_id == asset) & (findings.c.id > number)
     query = select(findings).where(after).order_by(findings.c.id)
-    rows, _ = paging.by_bytes(connection, query, findings.c.id, DOCUMENTS, limit)
+    rows, _ = paging.by_bytes(connection, _listing(query), limit)
     return [stored_finding(row) for row in rows]
+
+
+def findings_between(
+    connection: Connection,
+    asset: str,
+    begin: datetime,
+    end: datetime,
+    after: int = 0,
+    limit: int = 500,
+) -> Sequence[StoredFinding]:
+    """The first findings of an asset in [begin, end) with a number larger than `after`, oldest
+    first.
+    """
+    require(connection, asset)
+    c = findings.c
+    condition = (c.asset_id == asset) & (c.id > after) & (c.at >= begin) & (c.at < end)
+    listing = _listing(select(findings).where(condition).order_by(c.id))
+    rows, _ = paging.by_bytes(connection, listing, limit)
+    return [stored_finding(row) for row in rows]
+
+
+def _listing(query: Select[Any]) -> paging.Listing:
+    return paging.Listing(query, findings.c.id, _DOCUMENTS)
 
 
 def newest_finding(connection: Connection) -> int:
@@ -193,14 +214,13 @@ def indicators(
     documents = (findings.c.indicators, findings.c.thresholds, findings.c.units)
     columns = (*(findings.c[name] for name in row_checks.SHORT_OF_FINDING), findings.c.checksum)
     newest = select(*columns).where(findings.c.asset_id == asset).order_by(findings.c.id.desc())
-    query = (
-        newest
-        if span is None
-        else newest.where(findings.c.id.in_(_spread(connection, asset, span, limit)))
-    )
-    stored = paging.by_bytes(connection, query, findings.c.id, documents, limit, _HISTORY)[0][::-1]
-    # a list of findings tells of them
-    rows = [row for row in stored if not row_checks.differs(findings, row._mapping)]
+    query = newest
+    if span is not None:
+        query = newest.where(findings.c.id.in_(_spread(connection, asset, span, limit)))
+    listing = paging.Listing(query, findings.c.id, documents)
+    newest_first, _ = paging.by_bytes(connection, listing, limit, _HISTORY)
+    # Damaged rows have no place in a curve; a list of findings tells of them.
+    rows = [row for row in reversed(newest_first) if not row_checks.differs(findings, row._mapping)]
     units: dict[str, str] = {}
     for row in rows:
         units |= row.units
@@ -231,6 +251,7 @@ def _spread(
     if end is not None:
         query = query.where(c.at < end)
     rows = connection.execute(query).all()
+    # rounded up, so that there are at most so many stretches
     stride = max(1, -(-len(rows) // most))
     stretches = (rows[first : first + stride] for first in range(0, len(rows), stride))
     rank = {verdict: place for place, verdict in enumerate(_WORST_FIRST)}
@@ -264,6 +285,7 @@ def _asset(row: Row[Any]) -> Asset:
             last,
         )
     damaged = _damaged(f"asset {known['id']}", str(known["diagnoser"]))
+    # A damaged asset is shown with a finding that says so: a list without it would hide a machine.
     stand_in = StoredFinding(
         known["last_finding_id"] or 0, known["id"], 0, known["created_at"], damaged
     )

@@ -4,10 +4,11 @@ counts.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import replace
 from datetime import datetime, timedelta
-from typing import Any
+from functools import wraps
+from typing import Any, Concatenate, ParamSpec
 
 from sqlalchemy import ColumnElement, Connection, Row, func, insert, select, true
 
@@ -24,8 +25,10 @@ from residuum.service.store import (
     Outcome,
     Page,
     StoredFinding,
+    T,
 )
 
+P = ParamSpec("P")
 Span = tuple[datetime | None, datetime | None]
 
 DAMAGED = "damaged"
@@ -37,7 +40,7 @@ def add(
     connection: Connection,
     asset: str,
     finding: int,
-    found: FoundAtMachine,
+    observed: FoundAtMachine,
     *,
     by: str | None,
     now: datetime,
@@ -52,8 +55,10 @@ def add(
         What was found contradicts itself or what was said.
     """
     stored = _finding(connection, asset, finding)
-    _refuse_contradictions(stored, found, now)
+    _refuse_contradictions(stored, observed, now)
     statement = stored.finding.statement
+    # What the finding said is copied: its row may be let go, and the answer must go on to be
+    # counted by what was said.
     row = {
         "asset_id": asset,
         "finding_id": finding,
@@ -63,14 +68,14 @@ def add(
         "verdict": stored.finding.verdict.value,
         "said": statement.says,
         "probability": statement.probability,
-        "outcome": found.outcome.value,
-        "cause": found.cause,
-        "part": found.part,
-        "order_number": found.order,
-        "who": found.who or by or "",
-        "found_at": found.found_at or now,
-        "note": found.note,
-        "healthy": found.healthy,
+        "outcome": observed.outcome.value,
+        "cause": observed.cause,
+        "part": observed.part,
+        "order_number": observed.order,
+        "who": observed.who or by or "",
+        "found_at": observed.found_at or now,
+        "note": observed.note,
+        "healthy": observed.healthy,
         "at": now,
         "by": by,
     }
@@ -79,7 +84,7 @@ def add(
     detail = {"asset": asset, "confirmation": confirmation.id}
     detail |= {name: row[name] for name in ("said", "outcome", "cause", "part", "order_number")}
     detail |= {name: row[name] for name in ("who", "found_at", "note", "healthy")}
-    action = f"finding {found.outcome.value}"
+    action = f"finding {observed.outcome.value}"
     audit.append(connection, action, f"finding {finding}", by=by, now=now, detail=detail)
     return confirmation
 
@@ -118,6 +123,7 @@ def standing(
     them is damaged: a count would be wrong.
     """
     c = confirmations.c
+    # By number, not by time: the newest answer on a finding is the one that was given last.
     newest = select(func.max(c.id)).where(_of(span, asset, sites)).group_by(c.finding_id)
     query = select(confirmations).where(c.id.in_(newest)).order_by(c.id)
     counted = [_confirmation(row) for row in connection.execute(query)]
@@ -142,18 +148,6 @@ def with_confirmations(
     return [replace(finding, confirmation=known.get(finding.id)) for finding in stored]
 
 
-def findings_page(
-    connection: Connection,
-    asset: str,
-    cursor: str | None = None,
-    limit: int = 50,
-    verdict: str | None = None,
-) -> Page[StoredFinding]:
-    """Findings of an asset, newest first, each with what was found."""
-    page = assets.findings_page(connection, asset, cursor, limit, verdict)
-    return replace(page, items=with_confirmations(connection, page.items))
-
-
 def finding_of(connection: Connection, window: int) -> StoredFinding:
     """The latest finding on a window, with what was found."""
     return with_confirmations(connection, [assets.finding_of(connection, window)])[0]
@@ -162,17 +156,6 @@ def finding_of(connection: Connection, window: int) -> StoredFinding:
 def asset_of(connection: Connection, asset: str) -> Asset:
     """One asset with its latest finding, and what was found."""
     return _with_last(connection, [assets.get(connection, asset)])[0]
-
-
-def assets_page(
-    connection: Connection,
-    cursor: str | None = None,
-    limit: int = 100,
-    sites: Collection[str] | None = None,
-) -> Page[Asset]:
-    """Assets by name, each with its latest finding and what was found."""
-    page = assets.page(connection, cursor, limit, sites)
-    return replace(page, items=_with_last(connection, page.items))
 
 
 def _with_last(connection: Connection, known: Sequence[Asset]) -> list[Asset]:
@@ -184,6 +167,24 @@ def _with_last(connection: Connection, known: Sequence[Asset]) -> list[Asset]:
         else replace(asset, last_finding=answered[asset.last_finding.id])
         for asset in known
     ]
+
+
+def _answered(
+    list_page: Callable[Concatenate[Connection, P], Page[T]],
+    with_answers: Callable[[Connection, Sequence[T]], list[T]],
+) -> Callable[Concatenate[Connection, P], Page[T]]:
+    """A list of `assets`, asked for as there, each item with what was found."""
+
+    @wraps(list_page)
+    def answered_page(connection: Connection, /, *given: P.args, **named: P.kwargs) -> Page[T]:
+        page = list_page(connection, *given, **named)
+        return replace(page, items=with_answers(connection, page.items))
+
+    return answered_page
+
+
+findings_page = _answered(assets.findings_page, with_confirmations)
+assets_page = _answered(assets.page, _with_last)
 
 
 def _finding(connection: Connection, asset: str, finding: int) -> StoredFinding:
@@ -199,31 +200,37 @@ def _finding(connection: Connection, asset: str, finding: int) -> StoredFinding:
     return assets.stored_finding(row)
 
 
-def _refuse_contradictions(stored: StoredFinding, found: FoundAtMachine, now: datetime) -> None:
-    verdict, said = stored.finding.verdict, stored.finding.statement.says
+def _refuse_contradictions(stored: StoredFinding, observed: FoundAtMachine, now: datetime) -> None:
+    verdict = stored.finding.verdict
     if verdict is Verdict.NOT_ASSESSABLE:
         raise BadInput(
             f"finding {stored.id}: its window could not be judged, so it says nothing that can be"
             " confirmed; take a finding that is healthy or faulty"
         )
-    if found.outcome is Outcome.CORRECTED and found.cause in (None, said):
-        raise BadInput(
-            f"body, cause: 'corrected' needs what it was instead of {said!r}; where it was that,"
-            " say 'confirmed'"
-        )
-    if found.outcome is not Outcome.CORRECTED and found.cause not in (None, said):
-        raise BadInput(
-            f"body, cause {found.cause!r}: {found.outcome.value!r} has no other cause than"
-            f" {said!r}; say 'corrected'"
-        )
-    refuted_fault = verdict is Verdict.FAULTY and found.outcome is Outcome.REFUTED
-    if found.healthy and not refuted_fault:
+    _refuse_cause(observed, stored.finding.statement.says)
+    refuted_fault = verdict is Verdict.FAULTY and observed.outcome is Outcome.REFUTED
+    if observed.healthy and not refuted_fault:
         raise BadInput(
             "body, healthy: only the window of a refuted fault joins the healthy ones; leave it out"
         )
-    if found.found_at is not None and found.found_at > now + _CLOCKS_APART:
+    if observed.found_at is not None and observed.found_at > now + _CLOCKS_APART:
         raise BadInput(
-            f"body, found_at: {found.found_at.isoformat()} lies in the future; leave it out for now"
+            f"body, found_at: {observed.found_at.isoformat()} lies in the future; leave it out for"
+            " now"
+        )
+
+
+def _refuse_cause(observed: FoundAtMachine, diagnosis: str) -> None:
+    named_another = observed.cause not in (None, diagnosis)
+    if observed.outcome is Outcome.CORRECTED and not named_another:
+        raise BadInput(
+            f"body, cause: 'corrected' needs what it was instead of {diagnosis!r}; where it was"
+            " that, say 'confirmed'"
+        )
+    if observed.outcome is not Outcome.CORRECTED and named_another:
+        raise BadInput(
+            f"body, cause {observed.cause!r}: {observed.outcome.value!r} has no other cause than"
+            f" {diagnosis!r}; say 'corrected'"
         )
 
 

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import math
 from collections import defaultdict
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from datetime import datetime
 from typing import Any
 
@@ -22,40 +22,40 @@ def add(connection: Connection, forgotten: Iterable[Row[Any]]) -> None:
     """Fold findings whose rows go into their hours; what an hour holds already is counted with
     them.
     """
-    together: dict[tuple[str, datetime], list[Row[Any]]] = defaultdict(list)
+    by_hour: dict[tuple[str, datetime], list[Row[Any]]] = defaultdict(list)
     for row in forgotten:
-        together[row.asset_id, row.at.replace(minute=0, second=0, microsecond=0)].append(row)
-    for (asset, hour), rows in together.items():
+        by_hour[row.asset_id, row.at.replace(minute=0, second=0, microsecond=0)].append(row)
+    for (asset, hour), rows in by_hour.items():
         of_hour = (finding_hours.c.asset_id == asset) & (finding_hours.c.hour == hour)
         known = connection.execute(select(finding_hours).where(of_hour)).first()
-        verdicts = dict(known.verdicts) if known else {}
-        indicators = dict(known.indicators) if known else {}
-        for row in rows:
-            damaged = row_checks.differs(findings, row._mapping)
-            verdict = Verdict.NOT_ASSESSABLE.value if damaged else row.verdict
-            verdicts[verdict] = verdicts.get(verdict, 0) + 1
-            for name, value in () if damaged else row.indicators.items():
-                if value is not None and math.isfinite(value):
-                    indicators[name] = _folded(
-                        indicators.get(name),
-                        value,
-                        row.units.get(name, ""),
-                        row.thresholds.get(name),
-                    )
-        count = (known.windows if known else 0) + len(rows)
-        values = {
-            "asset_id": asset,
-            "hour": hour,
-            "windows": count,
-            "verdicts": verdicts,
-            "indicators": indicators,
-        }
+        values = {"asset_id": asset, "hour": hour, **_summary(known, rows)}
         if known is None or not row_checks.differs(finding_hours, known._mapping):
             values = row_checks.sealed(finding_hours, values)
-        else:  # it goes on to differ
+        else:
+            # The old checksum differs from the new values too: an hour that was damaged must not
+            # become whole by what is added to it.
             values["checksum"] = known.checksum
         connection.execute(delete(finding_hours).where(of_hour))
         connection.execute(insert(finding_hours).values(values))
+
+
+def _summary(known: Row[Any] | None, rows: Collection[Row[Any]]) -> dict[str, Any]:
+    """The findings of an hour with what is known of it."""
+    verdicts: dict[str, int] = dict(known.verdicts) if known else {}
+    indicators: dict[str, Any] = dict(known.indicators) if known else {}
+    for row in rows:
+        if row_checks.differs(findings, row._mapping):
+            # Of a damaged row it is certain only that there was a window.
+            unknown = Verdict.NOT_ASSESSABLE.value
+            verdicts[unknown] = verdicts.get(unknown, 0) + 1
+            continue
+        verdicts[row.verdict] = verdicts.get(row.verdict, 0) + 1
+        for name, value in row.indicators.items():
+            if value is not None and math.isfinite(value):
+                unit, threshold = row.units.get(name, ""), row.thresholds.get(name)
+                indicators[name] = _folded(indicators.get(name), value, unit, threshold)
+    count = (known.windows if known else 0) + len(rows)
+    return {"windows": count, "verdicts": verdicts, "indicators": indicators}
 
 
 def newest(connection: Connection, asset: str, limit: int = 24 * 30) -> list[FindingHour]:
@@ -94,6 +94,7 @@ def _folded(
         "n": n,
         "minimum": min(known["minimum"], value),
         "maximum": max(known["maximum"], value),
+        # x̄_n = x̄_{n−1} + (x_n − x̄_{n−1}) / n: the values before are gone
         "mean": known["mean"] + (value - known["mean"]) / n,
         "threshold": threshold,
     }

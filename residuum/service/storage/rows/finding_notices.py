@@ -43,7 +43,7 @@ def waiting(connection: Connection, receiver: str, limit: int) -> Sequence[Store
     return [stored_finding(row) for row in connection.execute(query)]
 
 
-def told(connection: Connection, receiver: str, finding_ids: Collection[int]) -> None:
+def remove_told(connection: Connection, receiver: str, finding_ids: Collection[int]) -> None:
     """The receiver knows these findings."""
     theirs = finding_notices.c.receiver_id == receiver
     connection.execute(
@@ -57,6 +57,7 @@ def _let_go(connection: Connection, condition: ColumnElement[bool]) -> None:
         is None
     ):
         return
+    # Counted for each receiver before the rows go, so that it can be told how many it missed.
     lost = (
         select(func.count())
         .select_from(finding_notices)

@@ -7,7 +7,7 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Sequence
 from datetime import datetime
-from typing import Any
+from typing import Any, NamedTuple
 
 from sqlalchemy import Connection, Row, insert, select
 
@@ -26,25 +26,28 @@ _DESCRIPTION = [
 ]
 
 
-def add_version(
-    connection: Connection,
-    model: str,
-    kind: str,
-    content: bytes,
-    *,
-    note: str,
-    by: str | None,
-    now: datetime,
-) -> ModelVersion:
+class NewVersion(NamedTuple):
+    """A version of a model to be kept, and who made it."""
+
+    model: str
+    kind: str
+    content: bytes
+    note: str
+    by: str | None
+
+
+def add_version(connection: Connection, new: NewVersion, now: datetime) -> ModelVersion:
     """Insert the next version; the first makes the model. Conflict when the model is of another
     kind.
     """
+    model, kind, content, note, by = new
     known = connection.execute(select(models).where(models.c.id == model)).first()
     if known is None:
-        new = {"id": model, "kind": kind, "created_at": now, "last_number": 0}
-        connection.execute(insert(models).values(row_checks.sealed(models, new)))
+        first = {"id": model, "kind": kind, "created_at": now, "last_number": 0}
+        connection.execute(insert(models).values(row_checks.sealed(models, first)))
     elif known.kind != kind:
         raise Conflict(f"model {model!r}: is a {known.kind} model; a {kind} one needs another name")
+    # counted in the model's row, not from its versions: a number is never given twice
     number = (known.last_number if known else 0) + 1
     row_checks.change(connection, models, model, lambda _row: {"last_number": number})
     row = {
@@ -98,14 +101,10 @@ def content(connection: Connection, model: str, number: int | None = None) -> by
         query = query.where(model_versions.c.number == number)
     row = connection.execute(query.order_by(model_versions.c.number.desc()).limit(1)).first()
     if row is None:
-        raise NotFound(
-            f"model {model!r}: "
-            + (
-                "there is none of this name; GET /models lists them"
-                if number is None
-                else f"has no version {number}"
-            )
-        )
+        reason = f"has no version {number}"
+        if number is None:
+            reason = "there is none of this name; GET /models lists them"
+        raise NotFound(f"model {model!r}: {reason}")
     if hashlib.sha256(row.content).hexdigest() != row.checksum:
         raise StorageUnavailable(
             f"model {model!r}, version {row.number}: its content differs from its checksum; restore"

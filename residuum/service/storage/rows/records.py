@@ -68,9 +68,8 @@ def page(connection: Connection, cursor: str | None = None, limit: int = 50) -> 
     query = select(records).order_by(records.c.id.desc())
     if cursor:
         query = query.where(records.c.id < paging.decode_number(cursor))
-    return paging.page_by_bytes(
-        connection, query, records.c.id, (records.c.units, records.c.notes), limit, "id", _record
-    )
+    listing = paging.Listing(query, records.c.id, (records.c.units, records.c.notes))
+    return paging.page_by_bytes(connection, listing, limit, "id", _record)
 
 
 def _record(row: Row[Any]) -> StoredRecord:

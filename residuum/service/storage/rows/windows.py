@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from datetime import datetime
-from typing import Any
+from typing import Any, NamedTuple
 
-from sqlalchemy import Connection, Row, insert, select
+from sqlalchemy import Connection, Row, Select, insert, select
 
 from residuum.identification.record import Record
 from residuum.service.storage.blocks import BlockReference
@@ -14,15 +15,22 @@ from residuum.service.storage.tables import windows
 from residuum.service.store import Conflict, NotFound, Page, StoredWindow
 
 
+class RequestKey(NamedTuple):
+    """The key under which a request may be sent again, and the digest of what was sent with it;
+    a request without a key has None.
+    """
+
+    key: str | None = None
+    digest: str | None = None
+
+
 def add(
     connection: Connection,
     asset: str,
     record: Record,
     block: BlockReference,
-    *,
     now: datetime,
-    idempotency_key: str | None,
-    digest: str | None,
+    request: RequestKey,
 ) -> int:
     """Insert the row of a window whose block is on disk."""
     row = {
@@ -36,8 +44,8 @@ def add(
         "block_path": block.path,
         "block_checksum": block.checksum,
         "size_bytes": block.size_bytes,
-        "idempotency_key": idempotency_key,
-        "digest": digest,
+        "idempotency_key": request.key,
+        "digest": request.digest,
     }
     query = insert(windows).values(row_checks.sealed(windows, row)).returning(windows.c.id)
     number: int = connection.execute(query).scalar_one()
@@ -49,22 +57,21 @@ def _refuse_broken(row: Row[Any]) -> None:
         raise row_checks.refuse(f"window {row.id}")
 
 
-def with_key(
-    connection: Connection, asset: str, idempotency_key: str, digest: str | None
-) -> int | None:
+def with_key(connection: Connection, asset: str, request: RequestKey) -> int | None:
     """The window stored under a key, None when there is none; Conflict when it was another
     window.
     """
+    if request.key is None:
+        return None
     query = select(windows.c.id, windows.c.digest).where(
-        windows.c.asset_id == asset, windows.c.idempotency_key == idempotency_key
+        windows.c.asset_id == asset, windows.c.idempotency_key == request.key
     )
     row = connection.execute(query).first()
     if row is None:
         return None
-    if row.digest != digest:
+    if row.digest != request.digest:
         raise Conflict(
-            f"Idempotency-Key {idempotency_key[:60]!r}: was used for another window of asset"
-            f" {asset!r}"
+            f"Idempotency-Key {request.key[:60]!r}: was used for another window of asset {asset!r}"
         )
     return int(row.id)
 
@@ -92,15 +99,32 @@ def page(
     query = select(windows).where(windows.c.asset_id == asset).order_by(windows.c.id.desc())
     if cursor:
         query = query.where(windows.c.id < paging.decode_number(cursor))
-    return paging.page_by_bytes(
-        connection,
-        query,
-        windows.c.id,
-        (windows.c.units, windows.c.source),
-        limit,
-        "id",
-        stored_window,
+    return paging.page_by_bytes(connection, _listing(query), limit, "id", stored_window)
+
+
+def between(
+    connection: Connection,
+    asset: str,
+    begin: datetime,
+    end: datetime,
+    after: int = 0,
+    limit: int = 500,
+) -> Sequence[StoredWindow]:
+    """The first windows of an asset received in [begin, end) with a number larger than `after`,
+    oldest first.
+    """
+    assets.require(connection, asset)
+    c = windows.c
+    condition = (
+        (c.asset_id == asset) & (c.id > after) & (c.received_at >= begin) & (c.received_at < end)
     )
+    listing = _listing(select(windows).where(condition).order_by(c.id))
+    rows, _ = paging.by_bytes(connection, listing, limit)
+    return [stored_window(row) for row in rows]
+
+
+def _listing(query: Select[Any]) -> paging.Listing:
+    return paging.Listing(query, windows.c.id, (windows.c.units, windows.c.source))
 
 
 def stored_window(row: Row[Any]) -> StoredWindow:

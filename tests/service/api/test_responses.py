@@ -6,7 +6,7 @@ import numpy as np
 
 from residuum.diagnosis.diagnosers import DIAGNOSERS
 from residuum.diagnosis.finding import Finding, Verdict
-from residuum.service.api.json_response import Json, finding_json
+from residuum.service.api.responses import Json, finding_json
 
 
 def test_the_finding_of_a_diagnoser_is_what_its_plain_copy_is():

@@ -1,28 +1,39 @@
-"""JSON out through orjson: NumPy numbers and moments as they are, non-finite numbers as null."""
+"""Answers that several routes give: JSON through orjson (NumPy numbers and moments as they are,
+non-finite numbers as null), pages of lists, files, jobs; and JSON bodies, read strictly.
+"""
 
 from __future__ import annotations
 
+import tempfile
 from collections.abc import AsyncIterator, Callable, Coroutine, Mapping
 from json import JSONDecodeError
-from typing import Any
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import orjson
 from fastapi import Request, Response
 from fastapi.routing import APIRoute
+from starlette.background import BackgroundTask
+from starlette.concurrency import run_in_threadpool
 from starlette.exceptions import HTTPException
-from starlette.responses import JSONResponse, StreamingResponse
+from starlette.responses import FileResponse, JSONResponse, StreamingResponse
 
 from residuum.diagnosis.finding import TOLD_BESIDE, Finding
 from residuum.library.questions import OLD_SPELLINGS
-from residuum.service.services import Services
-from residuum.service.store import Page, T
+from residuum.service.api.parameters import known_channels
+from residuum.service.store import Page, StoredWindow, T
+
+if TYPE_CHECKING:
+    from residuum.service.services import Services
+    from residuum.service.work.jobs import Job
 
 _LARGEST, _MOST_NESTED = 2 * 2**20, 50_000
 """Bytes, and lists and objects, of a JSON body that asks for something: read on the event loop in
 some 20 ms at worst.
 """
 _PIECE = 256 * 2**10
+"""Bytes that are sent at once."""
 _CLOSE = {"Connection": "close"}  # the rest of the body is not waited for
 _OPTIONS = orjson.OPT_SERIALIZE_NUMPY | orjson.OPT_NON_STR_KEYS | orjson.OPT_UTC_Z
 
@@ -65,12 +76,63 @@ def _plain(value: Any) -> Any:
 
 def page_json(page: Page[T]) -> Json:
     """One page of a list: `items` and the `next_cursor` to ask for the next."""
-    return Json({"items": [item.to_json() for item in page.items], "next_cursor": page.next_cursor})  # type: ignore[attr-defined]
+    items = [item.to_json() for item in page.items]  # type: ignore[attr-defined]
+    return Json({"items": items, "next_cursor": page.next_cursor})
 
 
 async def page_answer(running: Services, page: Callable[..., Page[T]], *arguments: Any) -> Json:
     """A page of a list, made in a thread when there is room for it."""
     return await running.listing(lambda: page_json(page(*arguments)))
+
+
+def accepted(job: Job) -> Json:
+    """The answer to a request that became a job."""
+    return Json(job.to_json(with_result=False), 202, {"Location": f"/api/v1/jobs/{job.id}"})
+
+
+async def of_one_channel(
+    running: Services,
+    asset: str,
+    window: int,
+    channel: str | None,
+    make: Callable[[StoredWindow, str], Response],
+) -> Response:
+    """What `make(window, channel)` makes of a channel's samples (None: the first), when there is
+    memory for it.
+    """
+    known = await run_in_threadpool(running.store.window, asset, window)
+    name = channel if channel is not None else next(iter(known.units))
+    known_channels([name], known.units)
+    return await running.sampling(known.size_bytes // max(1, len(known.units)), make, known, name)
+
+
+def downloads(data: Path) -> Path:
+    """The folder of files that are being written and sent, on the disk that has room for them."""
+    return data / "downloads"
+
+
+async def file_answer(
+    running: Services, name: str, write: Callable[[Path], object], media_type: str
+) -> Response:
+    """The answer of a file that `write` makes, one at a time, and that is gone when it was sent."""
+    return await running.writing(
+        _written, downloads(running.settings.data), name, write, media_type
+    )
+
+
+def _written(place: Path, name: str, write: Callable[[Path], object], media_type: str) -> Response:
+    place.mkdir(parents=True, exist_ok=True)
+    folder = tempfile.TemporaryDirectory(dir=place)
+    path = Path(folder.name) / name
+    try:
+        write(path)
+    except BaseException:
+        # no answer will remove it
+        folder.cleanup()
+        raise
+    return FileResponse(
+        path, media_type=media_type, filename=name, background=BackgroundTask(folder.cleanup)
+    )
 
 
 def in_pieces(content: bytes, media_type: str, headers: Mapping[str, str]) -> Response:
@@ -90,6 +152,7 @@ def in_pieces(content: bytes, media_type: str, headers: Mapping[str, str]) -> Re
 class _StrictRequest(Request):
     async def body(self) -> bytes:
         """The body, refused as soon as it is longer than such a body may be."""
+        # where Starlette keeps a body that was read
         if not hasattr(self, "_body"):
             pieces, received = [], 0
             async for piece in self.stream():
@@ -107,6 +170,7 @@ class _StrictRequest(Request):
         nesting are refused.
         """
         body = await self.body()
+        # Counted before it is read: a parser's objects take many times the bytes of the brackets.
         if body.count(b"[") + body.count(b"{") > _MOST_NESTED:
             raise HTTPException(
                 413, f"body: more than {_MOST_NESTED} lists and objects; no more are read here"
@@ -138,6 +202,7 @@ class StrictRoute(APIRoute):
         handler = super().get_route_handler()
 
         async def strict(request: Request) -> Response:
+            # A warning of the service's process would reach nobody who could change the request.
             old: list[str] = []
             before = OLD_SPELLINGS.set(old.append)
             try:
@@ -145,6 +210,7 @@ class StrictRoute(APIRoute):
             finally:
                 OLD_SPELLINGS.reset(before)
             for says in old:
+                # A header holds ASCII, and a quoted text no quotation marks.
                 plain = (
                     says.encode("ascii", "backslashreplace")
                     .decode()
