@@ -30,7 +30,7 @@ class MatVariables:
     `struct.field`.
 
     `vectors` are one-dimensional, `matrices` two-dimensional (their rows or their columns are the
-    samples), `rest` says of every other array why it is no signal. `home` is the struct that a
+    samples), `no_signals` says of every other array why it is no signal. `home` is the struct that a
     vector stands in, `""` for none.
     """
 
@@ -39,7 +39,7 @@ class MatVariables:
     numbers: dict[str, float] = field(default_factory=dict)
     texts: dict[str, str] = field(default_factory=dict)
     home: dict[str, str] = field(default_factory=dict)
-    rest: list[str] = field(default_factory=list)
+    no_signals: list[str] = field(default_factory=list)
 
 
 def variables_of(content: dict[str, Any]) -> MatVariables:
@@ -104,7 +104,7 @@ def _sort(saved: MatVariables, name: str, value: Any) -> None:
     elif isinstance(value, np.ndarray) and value.dtype.kind in _NUMERIC:
         _sort_array(saved, name, value)
     elif isinstance(value, np.ndarray | list) and np.size(value):
-        saved.rest.append(f"{name} ({_kind(value)})")
+        saved.no_signals.append(f"{name} ({_kind(value)})")
 
 
 def _sort_array(saved: MatVariables, name: str, array: np.ndarray) -> None:
@@ -113,7 +113,7 @@ def _sort_array(saved: MatVariables, name: str, array: np.ndarray) -> None:
     elif array.ndim == 2 and array.size >= SHORTEST_SIGNAL:
         saved.matrices[name] = array
     elif array.ndim > 2:
-        saved.rest.append(f"{name} ({' × '.join(map(str, array.shape))} values)")
+        saved.no_signals.append(f"{name} ({' × '.join(map(str, array.shape))} values)")
 
 
 def _is_scalar(value: Any) -> bool:
@@ -312,7 +312,7 @@ def _left_out(saved: MatVariables, read: list[str]) -> tuple[str, ...]:
         for name, m in saved.matrices.items()
         if name not in read
     ]
-    left = [*vectors, *matrices, *saved.rest]
+    left = [*vectors, *matrices, *saved.no_signals]
     return (f"{NOT_READ}{', '.join(left)}",) if left else ()
 
 
@@ -325,8 +325,8 @@ def _instead(saved: MatVariables, content: dict[str, Any]) -> str:
             f", but the matrix {name} ({' × '.join(map(str, matrix.shape))}); save its columns"
             f" under their names: {how}"
         )
-    if saved.rest or "__function_workspace__" in content:
-        objects = ", ".join(saved.rest[:4]) or "objects of MATLAB"
+    if saved.no_signals or "__function_workspace__" in content:
+        objects = ", ".join(saved.no_signals[:4]) or "objects of MATLAB"
         how = "save their parts, time = ts.Time; y = ts.Data; save('file.mat', 'time', 'y')"
         return (
             f" ({objects}); objects (timeseries, timetable, Dataset) are read by MATLAB alone:"
