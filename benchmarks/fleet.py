@@ -26,7 +26,7 @@ import orjson
 
 from residuum.identification.record import Record
 from residuum.identification.record_formats import write_record
-from residuum.service.work.fleet import Rescore, run_fleet
+from residuum.service.fleet.fleet import Rescore, run_fleet
 from residuum.service.work.worker_pool import WorkerPool
 
 WORK = Rescore("bearing", None)

@@ -191,10 +191,10 @@ MUTATIONS = (
     ),
     Mutation(
         "a webhook that sends elsewhere has received",
-        "residuum/service/alarms/notifications.py",
+        "residuum/service/notifications.py",
         "build_opener(_NoDetour)",
         "build_opener()",
-        "tests/service/alarms/test_notifications.py",
+        "tests/service/test_notifications.py",
         "sends_elsewhere",
     ),
 )

@@ -21,7 +21,6 @@ from residuum.identification.units import read_registry
 from residuum.service import problems
 from residuum.service.alarms.alarm_states import AlarmRule
 from residuum.service.alarms.events import Events
-from residuum.service.alarms.notifications import Notifications
 from residuum.service.api import ROUTERS, health
 from residuum.service.api.responses import downloads
 from residuum.service.known_queries import KnownQueries
@@ -29,12 +28,14 @@ from residuum.service.logs import set_up_logs
 from residuum.service.machines.pipeline import Pipeline
 from residuum.service.machines.scoring import Judges
 from residuum.service.metrics import Metrics
+from residuum.service.notifications import Notifications
 from residuum.service.security.access import ApiKeys
 from residuum.service.security.bearer_tokens import BearerTokens
 from residuum.service.security.gate import Gate
 from residuum.service.security.refusals import Refusals
 from residuum.service.services import LivePipeline, Services
 from residuum.service.settings import BadSettings, Settings
+from residuum.service.simulated.demo_pipeline import DemoPipeline
 from residuum.service.storage.database import sqlite_file
 from residuum.service.storage.disk_store import SETTLED, DiskStore
 from residuum.service.storage.retention import Retention
@@ -58,15 +59,16 @@ _RETAIN_EVERY = 60.0
 MakePipeline = Callable[[Settings, DiskStore, Events, WorkerPool], LivePipeline]
 
 
-def create_app(settings: Settings, make_pipeline: MakePipeline = Pipeline) -> FastAPI:
+def create_app(settings: Settings, make_pipeline: MakePipeline | None = None) -> FastAPI:
     """The service, ready to be run by an ASGI server; everything it holds lives from startup to
-    shutdown.
+    shutdown. Without `make_pipeline` the settings say which one watches its machines.
 
     Raises BadSettings for keys that cannot be read or a database URL that names none.
     """
     keys = ApiKeys(settings.api_keys, tokens=settings.oidc_issuer is not None)
     tokens = None if settings.oidc_issuer is None else BearerTokens(settings)
     refusals = Refusals()
+    pipeline = make_pipeline or (DemoPipeline if settings.demo else Pipeline)
 
     def pipeline_status() -> Mapping[str, Any]:
         return app.state.services.pipeline.status()
@@ -76,7 +78,7 @@ def create_app(settings: Settings, make_pipeline: MakePipeline = Pipeline) -> Fa
 
     @asynccontextmanager
     async def lifespan(app: FastAPI) -> AsyncIterator[None]:
-        async with _running(app, settings, shared, make_pipeline) as services:
+        async with _running(app, settings, shared, pipeline) as services:
             app.state.services = services
             yield
 

@@ -18,28 +18,12 @@ from starlette.responses import Response
 from residuum.identification.errors import BadInput
 from residuum.library.questions import refusal
 from residuum.service.alarms.alarm_states import IllegalTransition
+from residuum.service.body_errors import BadBody, TooLarge, UnsupportedBody
 from residuum.service.logs import HEADER, request_id
 from residuum.service.memory_budget import TooBusy
 from residuum.service.remedies_over_http import SaidToClients
 from residuum.service.store import Conflict, NotFound, SignalLetGo, StorageUnavailable
 from residuum.service.work.jobs import TooManyJobs
-
-# What may be wrong with the body of a request, whatever it is read as.
-
-
-class BadBody(BadInput):
-    """The body of a request is not what its content type says (malformed JSON, no array, wrong
-    length).
-    """
-
-
-class UnsupportedBody(BadInput):
-    """The content type of a request is none that the route reads."""
-
-
-class TooLarge(BadInput):
-    """The body of a request, or what it declares to hold, is larger than the limit."""
-
 
 log = structlog.get_logger()
 

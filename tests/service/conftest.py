@@ -21,7 +21,6 @@ from sqlalchemy import create_engine, text
 from sqlalchemy.engine import make_url
 
 from residuum.service.app import create_app
-from residuum.service.machines.pipeline import Pipeline
 from residuum.service.settings import load_settings
 from residuum.service.simulated.demo import train
 
@@ -271,7 +270,7 @@ def make_failing_disk(tmp_path):
 class RunningService:
     """The service in a thread; `stop` and `start` again keep the port and the data."""
 
-    def __init__(self, data, make_pipeline=Pipeline, **settings):
+    def __init__(self, data, make_pipeline=None, **settings):
         self.port = _free_port()
         self.url = f"http://127.0.0.1:{self.port}"
         self._settings = load_settings(
@@ -312,7 +311,7 @@ class RunningService:
 def run_service(tmp_path_factory):
     with contextlib.ExitStack() as stack:
 
-        def run(make_pipeline=Pipeline, data=None, **settings):
+        def run(make_pipeline=None, data=None, **settings):
             service = RunningService(
                 data or tmp_path_factory.mktemp("service"), make_pipeline, **settings
             )

@@ -15,11 +15,11 @@ from pathlib import Path
 import pytest
 import yaml
 
-from residuum.service.alarms.notifications import Broker
 from residuum.service.broker import broker_address
 from residuum.service.commands import COMMANDS
 from residuum.service.fieldbus.can.frame_layout import read_dbc
 from residuum.service.fieldbus.modbus.register_map import read_register_map
+from residuum.service.notifications import Broker
 from residuum.service.security.access import ApiKeys, Role
 from residuum.service.settings import Settings, load_settings
 from tests.service.conftest import find_program, not_here, wait_for_port

@@ -28,9 +28,9 @@ from residuum.service.api.parameters import NAME, ModelName, NewModelName
 from residuum.service.api.responses import Json, StrictRoute, accepted
 from residuum.service.services import Running, Services, caller_of
 from residuum.service.store import Conflict, NotFound
+from residuum.service.views import analyses
+from residuum.service.views.analyses import Asked
 from residuum.service.views.model_view import model_of
-from residuum.service.work import analyses
-from residuum.service.work.analyses import Asked
 from residuum.service.work.worker_pool import RecordParts, parts_of
 
 router = APIRouter(tags=["analyses"], route_class=StrictRoute, responses=PROBLEMS)

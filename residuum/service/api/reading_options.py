@@ -13,7 +13,7 @@ from starlette.datastructures import QueryParams
 from residuum.identification.errors import BadInput
 from residuum.identification.record import Record
 from residuum.identification.record_formats.loggers.logger_time import FORMS
-from residuum.service.problems import BadBody
+from residuum.service.body_errors import BadBody
 from residuum.service.remedies_over_http import as_query, in_json, in_upload, of_array, refusing_in
 
 _OF_THE_FILE = {

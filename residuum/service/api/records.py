@@ -19,8 +19,8 @@ from residuum.service.api.parameters import TEXT, ChannelNames, Cursor, Limit, P
 from residuum.service.api.reading_options import READING_OPTIONS, reading, remedies_in_query
 from residuum.service.api.responses import Json, page_answer
 from residuum.service.api.signal_body import body_of
+from residuum.service.body_errors import BadBody, UnsupportedBody
 from residuum.service.machines.adding import known_dbc
-from residuum.service.problems import BadBody, UnsupportedBody
 from residuum.service.services import Running, caller_of
 from residuum.service.settings import Settings
 from residuum.service.views.signal_view import signal_view

@@ -23,8 +23,8 @@ from residuum.identification.record_formats import CAN_LOGS
 from residuum.identification.record_formats.csv import is_ours
 from residuum.identification.units import registry_is_read
 from residuum.service.api.reading_options import READING_OPTIONS, Reading, only_of_files, reading_of
+from residuum.service.body_errors import BadBody, UnsupportedBody
 from residuum.service.machines.adding import known_dbc
-from residuum.service.problems import BadBody, UnsupportedBody
 from residuum.service.work.npy import read_npy
 from residuum.service.work.signal_formats import FORMATS, few, unpacked_size
 from residuum.service.work.upload_reader import read_body, read_upload

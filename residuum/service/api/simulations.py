@@ -16,7 +16,7 @@ from residuum.library.questions.simulate import Simulate
 from residuum.service.api.answers import PROBLEMS, JobAnswer
 from residuum.service.api.responses import StrictRoute, accepted
 from residuum.service.services import Running
-from residuum.service.work.analyses import simulate
+from residuum.service.views.analyses import simulate
 
 router = APIRouter(prefix="/records", tags=["records"], route_class=StrictRoute, responses=PROBLEMS)
 

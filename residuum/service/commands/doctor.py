@@ -19,7 +19,6 @@ import typer
 
 from residuum.code_folder import code_folder, why_not_kept
 from residuum.identification.errors import BadInput
-from residuum.service.alarms.notifications import Broker
 from residuum.service.broker import BrokerAddress
 from residuum.service.cli import ANSWER_IS_NO
 from residuum.service.commands.machine_checks import machine_check
@@ -34,6 +33,7 @@ from residuum.service.fieldbus.opcua.node_map import read_node_map
 from residuum.service.fieldbus.settings import MachineSettings, SourceSettings
 from residuum.service.fieldbus.sparkplug.metric_map import read_metric_map
 from residuum.service.machines.baselines import has_baseline
+from residuum.service.notifications import Broker
 from residuum.service.security.access import ApiKeys
 from residuum.service.settings import Settings, is_loopback, load_settings
 from residuum.service.storage import DiskStore, audit

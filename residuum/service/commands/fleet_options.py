@@ -11,7 +11,7 @@ import typer
 from residuum.identification.errors import BadInput
 from residuum.service.commands.output_file import check_output_file
 from residuum.service.commands.report import progress, report
-from residuum.service.work.fleet import FleetSource, Work, open_executor, run_fleet
+from residuum.service.fleet.fleet import FleetSource, Work, open_executor, run_fleet
 
 Source = Annotated[
     str,

@@ -15,7 +15,7 @@ from residuum.service.commands.fleet_options import (
     run_over_fleet,
 )
 from residuum.service.commands.report import AsJson
-from residuum.service.work.fleet import Reidentify, fleet_source
+from residuum.service.fleet.fleet import Reidentify, fleet_source
 
 app = typer.Typer(add_completion=False)
 

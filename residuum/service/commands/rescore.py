@@ -17,8 +17,8 @@ from residuum.service.commands.fleet_options import (
 )
 from residuum.service.commands.report import AsJson
 from residuum.service.commands.score import Baseline
-from residuum.service.work.fleet import Rescore, StoredWindows, fleet_source
-from residuum.service.work.own_judges import OWN, rescore_own
+from residuum.service.fleet.fleet import Rescore, StoredWindows, fleet_source
+from residuum.service.fleet.own_judges import OWN, rescore_own
 
 app = typer.Typer(add_completion=False)
 

@@ -6,10 +6,10 @@ from typing import Annotated
 import typer
 
 from residuum.identification.errors import BadInput
-from residuum.service.alarms.notifications import Notifications
 from residuum.service.commands.settings_template import DatabaseUrl
 from residuum.service.commands.until_interrupted import until_interrupted
 from residuum.service.logs import set_up_logs
+from residuum.service.notifications import Notifications
 from residuum.service.settings import load_settings
 from residuum.service.storage import DiskStore
 from residuum.service.window_queue.scorer import Scorer

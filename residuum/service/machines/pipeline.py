@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import secrets
 import threading
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
@@ -30,7 +30,6 @@ from residuum.service.machines.baselines import (
 from residuum.service.machines.machine_line import MachineLine, unreadable
 from residuum.service.machines.scoring import score_window
 from residuum.service.settings import Settings
-from residuum.service.simulated.demo import Demo
 from residuum.service.storage.disk_store import DiskStore
 from residuum.service.store import Conflict, NotFound, StorageUnavailable
 from residuum.service.work.worker_pool import PlainRecord, WorkerPool
@@ -125,32 +124,36 @@ _LOOK_FOR_BASELINE = 2.0
 # Seconds between looks at which machines have come to a stop or gone on, which no event of theirs
 # tells.
 _LOOK_AT_STATES = 1.0
-_TRAIN_AGAIN = "see the log; stop the service and start it again to train once more"
 
 
 class Pipeline:
     """Reads the buses of all machines, has their windows judged, and stores what was found.
 
-    `start` returns at once: connecting, the demo's machines and the training of their diagnosers go
-    on beside.
+    `start` returns at once: connecting goes on beside.
 
     Parameters
     ----------
     settings : Settings
-        `machines` are watched; with `demo` the simulated machines are started, their diagnosers
-        trained, and watched too.
+        Its `machines` are watched.
     store : DiskStore
     events : Events
         Told `pipeline` whenever a machine's state changes.
     executor : WorkerPool
+    beside : sequence of MachineSettings
+        Machines that are watched once whoever gives them begins to: their buses are not there yet.
     """
 
     def __init__(
-        self, settings: Settings, store: DiskStore, events: Events, executor: WorkerPool
+        self,
+        settings: Settings,
+        store: DiskStore,
+        events: Events,
+        executor: WorkerPool,
+        beside: Sequence[MachineSettings] = (),
     ) -> None:
         self._settings, self._store, self._events, self._pool = settings, store, events, executor
-        self._demo = Demo(settings.demo_speed, settings.demo_opcua) if settings.demo else None
-        machines = [*settings.machines, *(self._demo.machines if self._demo else [])]
+        self._beside = beside
+        machines = [*settings.machines, *beside]
         names = [machine.asset for machine in machines]
         twice = {name for name in names if names.count(name) > 1}
         if twice:
@@ -169,33 +172,22 @@ class Pipeline:
         self._changing = asyncio.Lock()
 
     async def start(self) -> None:
-        """Begin to read; everything else goes on beside. A demo's machine is read once it is on its
-        buses.
-        """
+        """Begin to read; everything else goes on beside."""
         await asyncio.to_thread(self._add_kept)
         for line in self._lines.values():
             self._store.ensure_asset(line.settings.asset, diagnoser=line.settings.diagnoser)
         for name, line in self._lines.items():
-            if not self._demo or line.settings not in self._demo.machines:
+            if line.settings not in self._beside:
                 self._watch(name)
         self._tasks.append(asyncio.create_task(self._watch_states()))
-        if self._demo:
-            await asyncio.to_thread(self._demo.start)
-            self._tasks += [
-                asyncio.create_task(self._read_when_ready(self._demo, machine))
-                for machine in self._demo.machines
-            ]
-            self._tasks.append(asyncio.create_task(self._train_demo(self._demo)))
 
     async def stop(self) -> None:
-        """Stop reading, give what is being judged three seconds to finish, end the demo's machines
-        and all worker processes.
+        """Stop reading, give what is being judged three seconds to finish, and end all worker
+        processes.
         """
         for task in (*self._tasks, *self._watched.values()):
             task.cancel()
-        stops = [line.stop for line in self._lines.values()] + (
-            [self._demo.stop] if self._demo else []
-        )
+        stops = self._stops()
         if stops:
             # of their own: those of the loop may all wait for what is stopped here
             threads = ThreadPoolExecutor(len(stops))
@@ -204,6 +196,10 @@ class Pipeline:
             )
             threads.shutdown(wait=False)
         self._pool.terminate()
+
+    def _stops(self) -> list[Callable[[], None]]:
+        """What is stopped with the pipeline, all side by side."""
+        return [line.stop for line in self._lines.values()]
 
     def _add_kept(self) -> None:
         """The machines that were added while the service ran; one that can no longer be read is
@@ -350,7 +346,7 @@ class Pipeline:
         """
         source = self._fault_source(machine)
         on = dict(source.fault_sizes)
-        described = self._demo.describe_faults(machine) if self._demo else {}
+        described = self._described_faults(machine)
         return {
             "machine": machine,
             "faults": [
@@ -358,6 +354,10 @@ class Pipeline:
                 for fault in source.fault_ids
             ],
         }
+
+    def _described_faults(self, _machine: str) -> Mapping[str, Mapping[str, Any]]:
+        """Default size, unit and meaning of each fault, where somebody knows them."""
+        return {}
 
     async def switch_fault(self, machine: str, fault: str, size: float | None) -> None:
         """Send the order over the machine's own bus: `none` clears all; size None takes the
@@ -445,55 +445,6 @@ class Pipeline:
             return known
         self._handle.second_baselines[machine.asset] = file
         return version.checksum
-
-    async def _read_when_ready(self, demo: Demo, machine: MachineSettings) -> None:
-        await asyncio.to_thread(demo.wait_until_ready, machine.asset)
-        self._lines[machine.asset].start()
-
-    async def _train_demo(self, demo: Demo) -> None:
-        async with asyncio.TaskGroup() as group:
-            for machine in demo.machines:
-                group.create_task(self._train(demo, machine))
-        await asyncio.to_thread(demo.end_training)
-
-    async def _train(self, demo: Demo, machine: MachineSettings) -> None:
-        line = self._lines[machine.asset]
-        line.set_state("training", 0.0, "waiting to be trained")
-        try:
-            content = await self._stored_or_trained(demo, machine, line.set_state)
-            line.use_baseline(await asyncio.to_thread(baseline_file, self._settings.data, content))
-            self._tasks.append(asyncio.create_task(self._find_baseline(machine)))
-        except Exception as error:  # the machine's state tells it, and the others go on
-            reason = " ".join(f"training failed: {type(error).__name__}: {error}".split())
-            log.exception(
-                "training failed", machine=machine.asset, reason=reason, way_on=_TRAIN_AGAIN
-            )
-            line.set_state("failed", 0.0, reason, _TRAIN_AGAIN)
-
-    async def _stored_or_trained(
-        self, demo: Demo, machine: MachineSettings, tell: Callable[[str, float, str], None]
-    ) -> bytes:
-        # reads the program's files
-        note = await asyncio.to_thread(demo.training_key, machine.asset)
-        try:
-            versions = await asyncio.to_thread(self._store.model_versions, machine.asset)
-            # what was stored since, somebody accepted
-            if any(version.note == note for version in versions):
-                return await asyncio.to_thread(
-                    self._store.model_content, machine.asset, versions[0].number
-                )
-        except NotFound:
-            pass
-        training = asyncio.create_task(asyncio.to_thread(demo.train, machine.asset))
-        # also when nobody waits any more
-        training.add_done_callback(lambda over: over.cancelled() or over.exception())
-        while not (await asyncio.wait([training], timeout=0.5))[0]:
-            tell("training", *demo.progress(machine.asset))
-        content = training.result()
-        await asyncio.to_thread(
-            self._store.add_model_version, machine.asset, "baseline", content, note
-        )
-        return content
 
 
 def waits_for_baseline(machine: MachineSettings, recorded: int) -> str:

@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from residuum.identification.npy_header import LongHeader, NotNpy, NpyHeader, npy_header
-from residuum.service.problems import BadBody, TooLarge
+from residuum.service.body_errors import BadBody, TooLarge
 
 
 def read_npy(body: bytes | memoryview, subject: str = "body") -> npt.NDArray[Any]:

@@ -23,7 +23,7 @@ from residuum.identification.npy_header import LONGEST_HEADER
 from residuum.identification.record import Record
 from residuum.identification.record_formats import parse_csv, read_record
 from residuum.identification.record_formats.loggers.no_value import without_overloads
-from residuum.service.problems import BadBody, TooLarge
+from residuum.service.body_errors import BadBody, TooLarge
 from residuum.service.work.npy import read_header
 
 MOST_CHANNELS = 256

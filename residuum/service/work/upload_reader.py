@@ -19,7 +19,7 @@ from residuum.identification import errors
 from residuum.identification.errors import BadInput, BadRecord
 from residuum.identification.record import Record
 from residuum.identification.record_formats.npz import keep_plain, load_plain
-from residuum.service.problems import BadBody, TooLarge
+from residuum.service.body_errors import BadBody, TooLarge
 from residuum.service.work.limited_process import run_limited, within_limits
 
 _OF_READING = (*vars(errors).values(), BadBody, TooLarge)

@@ -225,7 +225,7 @@ def _begin_server() -> threading.Event:
         finally:
             ready.set()
 
-    _SERVER.set_forkserver_preload(["residuum.service.work.worker_preload"])
+    _SERVER.set_forkserver_preload(["residuum.service.fleet.worker_preload"])
     threading.Thread(target=begin, name="server of workers", daemon=True).start()
     return ready
 

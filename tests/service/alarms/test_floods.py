@@ -9,7 +9,7 @@ import pytest
 from residuum.diagnosis.finding import Finding
 from residuum.identification.record import Record
 from residuum.service.alarms.alarm_states import AlarmEvent, AlarmRule
-from residuum.service.alarms.notifications import Receiver
+from residuum.service.notifications import Receiver
 from residuum.service.storage import DiskStore
 
 BEGIN = datetime(2026, 3, 1, tzinfo=UTC)

@@ -16,12 +16,12 @@ from benchmarks.certificates import certificate_and_key
 from residuum.diagnosis.finding import Finding
 from residuum.identification.errors import BadInput
 from residuum.identification.record import Record
-from residuum.service.alarms.notifications import Broker
 from residuum.service.broker import BrokerTls, broker_address
 from residuum.service.cli import DONE, run
 from residuum.service.fieldbus import SOURCES
 from residuum.service.fieldbus.settings import SourceSettings
 from residuum.service.finding_metrics import EdgeNode
+from residuum.service.notifications import Broker
 from residuum.service.settings import BadSettings, load_settings
 from residuum.service.window_queue.window_message import Listener, broker_client
 

@@ -11,7 +11,7 @@ from residuum.identification.errors import BadInput, BadRecord
 from residuum.identification.record import Record
 from residuum.identification.record_formats import write_record
 from residuum.identification.record_formats.npz import read_npz
-from residuum.service.problems import BadBody
+from residuum.service.body_errors import BadBody
 from residuum.service.work import limited_process
 from residuum.service.work.upload_reader import read_upload
 

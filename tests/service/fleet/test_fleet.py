@@ -22,10 +22,10 @@ from residuum.identification.errors import BadInput
 from residuum.identification.record_formats import read_record
 from residuum.library.questions.identify import Identify
 from residuum.service.cli import run
+from residuum.service.fleet import fleet
+from residuum.service.fleet.fleet import Reidentify, Rescore, open_executor, run_fleet
 from residuum.service.machines.baselines import choose_method
 from residuum.service.storage import DiskStore
-from residuum.service.work import fleet
-from residuum.service.work.fleet import Reidentify, Rescore, open_executor, run_fleet
 from residuum.service.work.worker_pool import WorkerPool
 
 
@@ -99,7 +99,7 @@ def end_if_it_is_the_bad_one(file):
 
 
 def test_a_file_that_ends_every_worker_is_refused_and_the_others_are_done(monkeypatch, tmp_path):
-    monkeypatch.setattr("residuum.service.work.fleet._ATTEMPTS", 1)
+    monkeypatch.setattr("residuum.service.fleet.fleet._ATTEMPTS", 1)
     pool = WorkerPool(1)
     found = run_fleet(
         ["one", "bad", "three"],

@@ -14,12 +14,12 @@ from residuum.diagnosis.diagnosers import DIAGNOSERS
 from residuum.diagnosis.diagnosers.base import Diagnoser
 from residuum.identification.errors import BadInput
 from residuum.library.answers.plain import to_plain
+from residuum.service.fleet.fleet import StoredWindows, stored_in
 from residuum.service.machines.baselines import BASELINE, deciding_method, newest_baseline
 from residuum.service.machines.scoring import IN_THIS_PROCESS, diagnoser_of_content
 from residuum.service.storage import DiskStore
 from residuum.service.storage.rows import models
 from residuum.service.store import ModelVersion, NotFound
-from residuum.service.work.fleet import StoredWindows, stored_in
 
 OWN = "own"
 """What is said instead of a diagnoser's name."""

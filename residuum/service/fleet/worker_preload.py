@@ -11,6 +11,3 @@ for _name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
     os.environ.setdefault(_name, "1")
 
 import skops.io  # noqa: E402, F401
-
-import residuum.service.machines.scoring  # noqa: E402
-import residuum.service.work.fleet  # noqa: E402, F401

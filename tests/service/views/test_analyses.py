@@ -14,8 +14,8 @@ from residuum.library.questions.control_design import DesignController
 from residuum.library.questions.identify import Identify
 from residuum.library.questions.missing_effect import Explain
 from residuum.library.questions.residual import DesignResidual, RunResidual
-from residuum.service.work import analyses
-from residuum.service.work.analyses import Asked
+from residuum.service.views import analyses
+from residuum.service.views.analyses import Asked
 from residuum.service.work.worker_pool import parts_of
 
 ASKED = Identify(input="u", output="y", order=20, delay=1)

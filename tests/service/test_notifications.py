@@ -18,7 +18,7 @@ import pytest
 
 from residuum.diagnosis.finding import Finding
 from residuum.identification.record import Record
-from residuum.service.alarms.notifications import Receiver
+from residuum.service.notifications import Receiver
 from residuum.service.settings import BadSettings, load_settings
 from residuum.service.storage import DiskStore
 from residuum.service.storage.retention import Retention

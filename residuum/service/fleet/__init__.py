@@ -1,0 +1,1 @@
+"""Windows and records by the thousand, judged or identified anew on many workers."""
