@@ -169,13 +169,17 @@ def test_the_page_writes_and_the_client_is_known_behind_a_proxy(
 
 def test_only_a_trusted_proxy_is_believed():
     proxies = TrustedProxies(["10.0.0.0/8", "::1"])
-    assert proxies.seen("10.0.0.1", "http", b"spoofed, 192.0.2.9", b"https").address == "192.0.2.9"
-    assert proxies.seen("10.0.0.1", "http", b"192.0.2.9, 10.0.0.2", b"HTTPS").scheme == "https"
-    assert proxies.seen("10.0.0.1", "http", b"<script>", b"gopher") == proxies.seen(
+    assert (
+        proxies.client("10.0.0.1", "http", b"spoofed, 192.0.2.9", b"https").address == "192.0.2.9"
+    )
+    assert proxies.client("10.0.0.1", "http", b"192.0.2.9, 10.0.0.2", b"HTTPS").scheme == "https"
+    assert proxies.client("10.0.0.1", "http", b"<script>", b"gopher") == proxies.client(
         "10.0.0.1", "http", b"", b""
     )
-    assert proxies.seen("192.0.2.1", "http", b"10.0.0.1", b"https").scheme == "http"
-    assert TrustedProxies([]).seen("10.0.0.1", "http", b"192.0.2.9", b"https").address == "10.0.0.1"
+    assert proxies.client("192.0.2.1", "http", b"10.0.0.1", b"https").scheme == "http"
+    assert (
+        TrustedProxies([]).client("10.0.0.1", "http", b"192.0.2.9", b"https").address == "10.0.0.1"
+    )
 
 
 def test_limits_are_the_client_s_own_behind_a_trusted_proxy(service, run_service, tmp_path):
