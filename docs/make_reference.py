@@ -1,9 +1,11 @@
-"""Writes the reference pages that follow from the code: effects, Python names, commands, settings, routes, schema of model files.
+"""Writes what follows from the code: the reference pages (effects, Python names, commands, settings, routes, schema of
+model files), and the pictures of rooms in ARCHITECTURE.md.
 
 python docs/make_reference.py            # writes docs/reference/
 python docs/make_reference.py --check    # exit status 1 when a page is stale
 """
 
+import ast
 import inspect
 import json
 import re
@@ -35,7 +37,105 @@ def pages():
         "settings.md": settings_page(),
         "routes.md": routes_page(),
         "model-file.schema.json": json.dumps(model_schema(), indent=1, ensure_ascii=False) + "\n",
+        "../../ARCHITECTURE.md": plan_page(),
     }
+
+
+PLAN = HERE.parents[1] / "ARCHITECTURE.md"
+PACKAGE = Path(rs.__file__).parent
+PICTURES = {
+    "rooms": [
+        PACKAGE / name
+        for name in ("library", "diagnosis", "robust_control", "simulation", "service")
+    ]
+    + sorted(path.parent for path in (PACKAGE / "identification").glob("*/__init__.py")),
+    "the service": sorted(path.parent for path in (PACKAGE / "service").glob("*/__init__.py")),
+}
+"""Title of a picture → the folders that it draws."""
+
+
+def plan_page():
+    """ARCHITECTURE.md with its pictures drawn anew."""
+    text = PLAN.read_text(encoding="utf-8")
+    for title, folders in PICTURES.items():
+        begin, end = f"<!-- picture of {title} -->\n", f"<!-- end of {title} -->"
+        before, _, rest = text.partition(begin)
+        text = f"{before}{begin}{picture(folders)}{end}{rest.partition(end)[2]}"
+    return text
+
+
+def picture(folders):
+    """Who imports whom, as a Mermaid flow chart; an arrow that follows from two others is left out."""
+    direct = {folder: (imported(folder) & set(folders)) - {folder} for folder in folders}
+    groups = in_circles(direct)
+    below = {
+        group: {
+            other
+            for folder in group
+            for target in direct[folder]
+            for other in groups
+            if target in other
+        }
+        - {group}
+        for group in groups
+    }
+    arrows = {
+        (group, other)
+        for group, others in below.items()
+        for other in others
+        if not any(other in reached(below, third) for third in others - {other})
+    }
+    named = {group: " + ".join(sorted(folder.name for folder in group)) for group in groups}
+    lines = sorted(
+        f"    {key(named[a])}[{named[a]}] --> {key(named[b])}[{named[b]}]" for a, b in arrows
+    )
+    alone = sorted(named[group] for group in groups if not any(group in arrow for arrow in arrows))
+    return "\n".join(
+        [
+            "```mermaid",
+            "flowchart TD",
+            *lines,
+            *(f"    {key(name)}[{name}]" for name in alone),
+            "```",
+            "",
+        ]
+    )
+
+
+def key(name):
+    """A node's name for Mermaid, which takes no space and no sign."""
+    return re.sub(r"\W+", "_", name)
+
+
+def imported(folder):
+    """The folders of the package, each with those above it, whose modules are imported below this one."""
+    names = set()
+    for path in folder.rglob("*.py"):
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.ImportFrom) and node.module:
+                names |= {node.module, *(f"{node.module}.{alias.name}" for alias in node.names)}
+            elif isinstance(node, ast.Import):
+                names |= {alias.name for alias in node.names}
+    places = {PACKAGE.parent.joinpath(*name.split(".")) for name in names}
+    return {
+        above for place in places for above in (place, *place.parents) if PACKAGE in above.parents
+    }
+
+
+def in_circles(direct):
+    """The folders, those that import each other in a circle together."""
+    far = {folder: reached(direct, folder) for folder in direct}
+    return {frozenset({a, *(b for b in direct if b in far[a] and a in far[b])}) for a in direct}
+
+
+def reached(graph, start):
+    """All that is imported from here, however far away."""
+    found, waiting = set(), [start]
+    while waiting:
+        for target in graph[waiting.pop()] - found:
+            found.add(target)
+            waiting.append(target)
+    return found
 
 
 def effects_page():
