@@ -24,6 +24,7 @@ from residuum.service.cli import ANSWER_IS_NO
 from residuum.service.commands.machine_checks import machine_check
 from residuum.service.commands.report import AsJson, report
 from residuum.service.commands.settings_template import DatabaseUrl, DataFolder, SettingsFile
+from residuum.service.fieldbus import SOURCES
 from residuum.service.fieldbus.can.can_bus import open_bus
 from residuum.service.fieldbus.can.can_source import streamed
 from residuum.service.fieldbus.can.frame_layout import read_dbc
@@ -345,7 +346,7 @@ def _buses(settings: Settings) -> list[Check]:
 
 
 def _bus(source: SourceSettings) -> str | tuple[str, str]:
-    return _BUSES[source.kind](source)
+    return BUSES.get(source.kind, _streams_alone)(source)
 
 
 def _can(source: SourceSettings) -> tuple[str, str]:
@@ -410,12 +411,20 @@ def _modbus(source: SourceSettings) -> str | tuple[str, str]:
     return f"{address} answers; {source.map}: {len(readings)} channels read", "; ".join(remarks)
 
 
-_BUSES: dict[str, Callable[[SourceSettings], str | tuple[str, str]]] = {
+def _streams_alone(source: SourceSettings) -> tuple[str, str]:
+    """Of a kind that has no look of its own: what its map says, without a connection."""
+    streams = SOURCES[source.kind](source, lambda _block: True).streams
+    names = ", ".join(stream.name for stream in streams)
+    return f"{source.map} streams {names}", "whether it answers was not tried"
+
+
+BUSES: dict[str, Callable[[SourceSettings], str | tuple[str, str]]] = {
     "can": _can,
     "modbus": _modbus,
     "opcua": _opcua,
     "sparkplug": _sparkplug,
 }
+"""Kind of a source → what is looked at; a kind that is not here tells its streams."""
 
 
 def _broker(settings: Settings) -> tuple[str, str]:

@@ -12,6 +12,7 @@ import pytest
 from residuum.diagnosis.finding import Finding
 from residuum.identification.record import Record
 from residuum.service.cli import run
+from residuum.service.commands import doctor
 from residuum.service.settings import SETTINGS_FILE
 from residuum.service.storage import DiskStore
 from residuum.service.storage.database import Database, known_revisions
@@ -230,3 +231,18 @@ def test_a_dbc_file_is_said_to_stream_what_it_does(
     assert run(["doctor", "--data", str(data)]) in (0, 1)
     (line,) = [line for line in capsys.readouterr().out.splitlines() if "can bus" in line]
     assert re.match(says, line) and (status == 1) == line.startswith("WRONG")
+
+
+def test_a_kind_of_source_without_a_look_of_its_own_tells_its_streams(data, capsys, monkeypatch):
+    """A new kind is one file and one entry; the look of another kind must not judge it."""
+    monkeypatch.delitem(doctor.BUSES, "modbus")
+    watched = {
+        "asset": "plant",
+        "diagnoser": "robust-residual",
+        "window": {"cut": "sliding"},
+        "sources": [{"kind": "modbus", "map": "process_plant.yaml"}],
+    }
+    monkeypatch.setenv("RESIDUUM_MACHINES", json.dumps([watched]))
+    assert run(["doctor", "--data", str(data)]) == 0
+    (line,) = [line for line in capsys.readouterr().out.splitlines() if "modbus bus" in line]
+    assert "process_plant.yaml streams" in line and "was not tried" in line
