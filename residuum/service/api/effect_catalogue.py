@@ -23,10 +23,10 @@ router = APIRouter(
     prefix="/effects", tags=["analyses"], route_class=StrictRoute, responses=PROBLEMS
 )
 
+# Stored models whose effects are listed.
 _MOST_MODELS = 200
-"""Stored models whose effects are listed."""
+# Of a number of a curve that is drawn.
 _DIGITS = 5
-"""Of a number of a curve that is drawn."""
 
 
 class EffectParameter(BaseModel):

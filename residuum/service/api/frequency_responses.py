@@ -19,8 +19,8 @@ from residuum.service.views.signal_view import read_identified
 
 router = APIRouter(prefix="/models", tags=["models"], route_class=StrictRoute, responses=PROBLEMS)
 
+# The lowest frequency, as a share of the Nyquist frequency.
 _LOWEST = 1e-3
-"""The lowest frequency, as a share of the Nyquist frequency."""
 
 
 class FrequencyResponseAnswer(BaseModel):

@@ -51,10 +51,10 @@ from residuum.service.work.worker_pool import parts_of
 router = APIRouter(tags=["machines"], route_class=StrictRoute, responses=PROBLEMS)
 
 MachineName = Annotated[str, Path(alias="asset", description="Name of the machine.", pattern=NAME)]
+# Recorded windows that are listed, the newest.
 _WINDOWS_SHOWN = 500
-"""Recorded windows that are listed, the newest."""
+# Windows that become records at once: as many as an analysis takes.
 _MOST_RECORDS = 64
-"""Windows that become records at once: as many as an analysis takes."""
 _OF_TABLE = ({"kind": ["table"]},)
 
 

@@ -45,8 +45,8 @@ DERIVED_KEPT = 100
 """Of the records that comparisons made the newest are kept; a comparison makes them again at any
 time.
 """
+# Newest records among which those of comparisons are looked for.
 _LOOKED_AT = 500
-"""Newest records among which those of comparisons are looked for."""
 
 
 class Effect(BaseModel, extra="forbid"):

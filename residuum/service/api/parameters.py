@@ -36,8 +36,8 @@ NewModelName = Annotated[str, StringConstraints(pattern=NAME), AfterValidator(_u
 none.
 """
 
+# The largest number that JavaScript, and with it the page, tells from its neighbours.
 _LARGEST_ID = 2**53 - 1
-"""The largest number that JavaScript, and with it the page, tells from its neighbours."""
 
 AssetName = Annotated[str, Path(description="Name of the asset.", pattern=NAME)]
 ModelName = Annotated[str, Path(description="Name of the model.", pattern=NAME)]

@@ -40,8 +40,8 @@ READING_OPTIONS = _OF_THE_FILE | {
 """Key and meaning of what may be said of a body that is a file; several of `unit`, `map` and
 `missing` are taken.
 """
+# How the kinds of bodies are read that say their units themselves.
 _SAID_ITSELF = {"application/json": in_json, "application/octet-stream": of_array}
-"""How the kinds of bodies are read that say their units themselves."""
 _TRUE, _FALSE = ("true", "1", "yes", "on"), ("false", "0", "no", "off")
 
 

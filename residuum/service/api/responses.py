@@ -28,12 +28,11 @@ if TYPE_CHECKING:
     from residuum.service.services import Services
     from residuum.service.work.jobs import Job
 
+# Bytes, and lists and objects, of a JSON body that asks for something: read on the event loop in
+# some 20 ms at worst.
 _LARGEST, _MOST_NESTED = 2 * 2**20, 50_000
-"""Bytes, and lists and objects, of a JSON body that asks for something: read on the event loop in
-some 20 ms at worst.
-"""
+# Bytes that are sent at once.
 _PIECE = 256 * 2**10
-"""Bytes that are sent at once."""
 _CLOSE = {"Connection": "close"}  # the rest of the body is not waited for
 _OPTIONS = orjson.OPT_SERIALIZE_NUMPY | orjson.OPT_NON_STR_KEYS | orjson.OPT_UTC_Z
 

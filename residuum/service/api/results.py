@@ -23,8 +23,8 @@ router = APIRouter(
     prefix="/assets/{asset}", tags=["results"], route_class=StrictRoute, responses=PROBLEMS
 )
 
+# Of the signals in one file of windows.
 _MOST_BYTES = 2**30
-"""Of the signals in one file of windows."""
 
 
 @router.get("/findings.parquet", response_class=Response)

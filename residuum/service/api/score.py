@@ -28,11 +28,11 @@ from residuum.service.api.signal_body import (
 from residuum.service.services import Services
 from residuum.service.store import NotFound
 
+# Samples up to which a thread costs more than the scoring it would take off the event loop.
 _SCORED_AT_ONCE = 8192
-"""Samples up to which a thread costs more than the scoring it would take off the event loop."""
 
+# Bytes of a query up to which it is remembered as it was parsed.
 _LONGEST_KEPT = 1000
-"""Bytes of a query up to which it is remembered as it was parsed."""
 
 
 _DIAGNOSER = {

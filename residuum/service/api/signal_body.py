@@ -34,12 +34,11 @@ if TYPE_CHECKING:
 
 READ_ON_THE_LOOP = 64 * 2**10
 """Bytes up to which a body is read on the event loop: a few milliseconds."""
+# Bytes from which JSON and CSV are read in a process of their own: their parsers hold the
+# interpreter for some 20 ms then.
 _APART = 512 * 2**10
-"""Bytes from which JSON and CSV are read in a process of their own: their parsers hold the
-interpreter for some 20 ms then.
-"""
+# Bytes to which an NPZ may unpack in a thread of the service.
 _APART_UNPACKED = 8 * 2**20
-"""Bytes to which an NPZ may unpack in a thread of the service."""
 _PACKED = "application/zip"
 _ARRAY = "application/octet-stream"
 _KINDS = ("application/json", _ARRAY, "text/csv", _PACKED)

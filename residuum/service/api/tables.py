@@ -39,10 +39,10 @@ Window = Annotated[
 ChannelName = Annotated[
     str | None, Query(description="Channel; default: the first.", max_length=200)
 ]
+# Rows of a table of findings; the newest are kept.
 _MOST_FINDINGS = 5000
-"""Rows of a table of findings; the newest are kept."""
+# Rows of all indicators together, and rows that each may have however many there are.
 _MOST_ROWS, _FEWEST = 50_000, 10
-"""Rows of all indicators together, and rows that each may have however many there are."""
 
 
 @router.get("/findings")

@@ -29,8 +29,8 @@ router = APIRouter(
 )
 
 Name = Annotated[str, Field(min_length=1, max_length=200)]
+# Healthy windows that a picture is held beside.
 _HEALTHY = 3
-"""Healthy windows that a picture is held beside."""
 
 
 class Limits(BaseModel, extra="forbid"):

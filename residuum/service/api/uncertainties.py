@@ -26,10 +26,10 @@ router = APIRouter(
     prefix="/models/{model}", tags=["models"], route_class=StrictRoute, responses=PROBLEMS
 )
 
+# Frequencies that are drawn.
 _POINTS = 200
-"""Frequencies that are drawn."""
+# The lowest of them, as a share of the Nyquist frequency.
 _LOWEST = 1e-3
-"""The lowest of them, as a share of the Nyquist frequency."""
 
 
 class UncertaintyAnswer(BaseModel):

@@ -38,10 +38,10 @@ ChannelName = Annotated[
 Feature = Annotated[str | None, Query(description="Feature across or up.", max_length=40)]
 Largest = Annotated[float | None, Query(description="Where the plane ends.", gt=0, lt=1e12)]
 Judge = TypeVar("Judge", bound=Diagnoser)
+# Level of the narrowest bands of a kurtogram.
 _DEEPEST = 6
-"""Level of the narrowest bands of a kurtogram."""
+# Of a curve.
 _MOST_POINTS = 2000
-"""Of a curve."""
 
 
 class KurtogramAnswer(BaseModel):

@@ -9,10 +9,8 @@ import shlex
 from residuum.identification.errors import as_texts
 
 _OF_INSPECT = ("decimal", "time", "missing", "names")
+# How a logger's file is read: one command, or a person, writes it into a mapping for all others.
 _OF_MAPPINGS = ("duplicates", "reordered")
-"""How a logger's file is read: one command, or a person, writes it into a mapping for all
-others.
-"""
 
 
 def as_option(field: str, value: object = None) -> str:

@@ -16,8 +16,9 @@ from residuum.service.commands import as_option
 from residuum.service.commands.options_of import expanded, parameter_of
 from residuum.service.commands.report import progress
 
+# Names that have no commas: written with commas between them, too.
 _NAMES: Any = tuple[str, ...]
-"""Names that have no commas: written with commas between them, too."""
+# What a field may take → what stands for it in the help; the first that it takes is shown.
 _METAVARS: dict[Any, str | None] = {
     bool: None,
     list[str]: "NAME",
@@ -30,14 +31,13 @@ _METAVARS: dict[Any, str | None] = {
     int: "INTEGER",
     float: "NUMBER",
 }
-"""What a field may take → what stands for it in the help; the first that it takes is shown."""
+# What is written several times, or as two words.
 _FORMS: dict[Any, Any] = {
     _NAMES: list[str],
     list: list[str],
     dict: list[str],
     tuple: tuple[str, str],
 }
-"""What is written several times, or as two words."""
 
 
 def asks(without: Container[str] = ()) -> Callable[[Callable[..., Any]], Callable[..., Any]]:

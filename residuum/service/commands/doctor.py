@@ -50,14 +50,13 @@ from residuum.service.window_queue.set_aside import FOLDER, SetAside
 app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
 
 _MIB = 2**20
+# Free disk [bytes] that rows, logs and the database's journal should find beyond the signals still
+# to come.
 _SPARE = 512 * _MIB
-"""Free disk [bytes] that rows, logs and the database's journal should find beyond the signals still
-to come.
-"""
+# How long a device may take to accept a connection [s].
 _PATIENCE = 3.0
-"""How long a device may take to accept a connection [s]."""
+# Of an address that says none: the port registered for OPC UA.
 _OPCUA_PORT = 4840
-"""Of an address that says none: the port registered for OPC UA."""
 
 
 class Wrong(Exception):

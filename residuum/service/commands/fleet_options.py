@@ -40,8 +40,8 @@ Scheduler = Annotated[
     typer.Option(metavar="tcp://…", help="Dask scheduler whose workers see the same files."),
 ]
 
+# How often a run tells how far it is.
 _STEPS = 20
-"""How often a run tells how far it is."""
 
 
 class FleetRun(NamedTuple):

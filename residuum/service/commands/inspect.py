@@ -35,10 +35,10 @@ from residuum.service.commands.report import AsJson, report
 # What `inspect` shows of a file, of one shape for every format: guesses, channels, rate, what has
 # no unit, the first rows.
 
+# Samples below which nothing is said of error codes: too few tell what lies far beside.
 _FEWEST = 30
-"""Samples below which nothing is said of error codes: too few tell what lies far beside."""
+# Its number, name and unit, and how many of its samples are missing.
 _Column = tuple[int, str, str, int]
-"""Its number, name and unit, and how many of its samples are missing."""
 
 
 def of_record_file(file: Path, options: ReadOptions = ReadOptions()) -> tuple[dict[str, Any], str]:

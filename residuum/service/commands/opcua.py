@@ -20,8 +20,8 @@ from residuum.service.fieldbus.opcua.node_map import ChannelNode, node_map_text,
 app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
 
 Url = Annotated[str, typer.Argument(metavar="URL", help="For example opc.tcp://192.168.0.10:4840.")]
+# Seconds in which a server must answer one request.
 _TIMEOUT = 5.0
-"""Seconds in which a server must answer one request."""
 
 
 @app.command()

@@ -93,8 +93,8 @@ DbcFile = Annotated[
     ),
 ]
 
+# What notes tell of the samples themselves: a command says it.
 _OF_SAMPLES = (RESAMPLED, MEASURED_AT, NOT_READ, NO_VALUE)
-"""What notes tell of the samples themselves: a command says it."""
 
 
 def pairs(option: str, texts: Sequence[str] | None) -> dict[str, str]:

@@ -12,8 +12,8 @@ import typer
 
 from residuum.identification.errors import BadInput
 
+# Seconds in which the service must answer.
 _TIMEOUT = 30.0
-"""Seconds in which the service must answer."""
 _KEY = "RESIDUUM_API_KEY"
 
 _URL_HELP = "Address of the running service; RESIDUUM_URL in the environment says it, too."

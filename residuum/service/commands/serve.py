@@ -32,8 +32,8 @@ from residuum.service.work.worker_pool import give_back_large_arrays
 
 app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
 
+# Seconds in which what is under way may end when the service stops.
 _STOP_WITHIN = 5
-"""Seconds in which what is under way may end when the service stops."""
 
 
 @app.command()

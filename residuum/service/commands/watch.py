@@ -31,8 +31,8 @@ from residuum.service.settings import load_settings
 app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
 
 MachineArgument = Annotated[str, typer.Argument(metavar="MACHINE", help="Name of the machine.")]
+# Seconds between two questions for a job's state.
 _PAUSE = 0.5
-"""Seconds between two questions for a job's state."""
 
 
 @app.command()

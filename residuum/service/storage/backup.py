@@ -31,8 +31,8 @@ from residuum.service.storage.rows import block_rows
 # from the code, for a backup may be of an older schema than the code's.
 
 _VERSION_TABLE = "alembic_version"
+# Rows that are inserted, or fetched, at once.
 _AT_ONCE = 500
-"""Rows that are inserted, or fetched, at once."""
 
 
 def _tables_of(connection: Connection) -> list[Table]:
@@ -102,8 +102,8 @@ BEGIN, END = "begin.json", "end.json"
 _BLOCK = re.compile(r"blocks/([0-9]{4}-[0-9]{2}-[0-9]{2}/[0-9a-f]{32}\.block)")
 _ROWS = re.compile(r"rows/([a-z_]{1,60})\.jsonl")
 _SETTINGS = re.compile(r"settings/([A-Za-z0-9][A-Za-z0-9._-]{0,199})")
+# Bytes of a block that are read at once.
 _PIECE = 2**20
-"""Bytes of a block that are read at once."""
 
 
 class BadBackup(BadInput):

@@ -25,20 +25,19 @@ from residuum.service.storage.durable_folder import make_folder, sync_folder
 from residuum.service.store import ReadInPieces, StorageUnavailable
 
 MAGIC = b"RESIDUUM-BLOCK-2\n"
+# Blocks of before headers had a checksum of their own: these are compared as a whole with that of
+# their row.
 _WITHOUT_CHECKSUM = b"RESIDUUM-BLOCK-1\n"
-"""Blocks of before headers had a checksum of their own: these are compared as a whole with that of
-their row.
-"""
 _BEGIN = len(MAGIC) + 8
+# Bytes of the header's checksum.
 _CRC = 4
-"""Bytes of the header's checksum."""
+# Bytes: a line of the processor's cache.
 _ALIGNMENT = 64
-"""Bytes: a line of the processor's cache."""
 _FULL = (errno.ENOSPC, errno.EDQUOT)
+# Bytes of a small window, whose room is tried.
 _PROBE = 64 * 1024
-"""Bytes of a small window, whose room is tried."""
+# Bytes of a long channel that are read at once.
 _PIECE = 2**20
-"""Bytes of a long channel that are read at once."""
 
 
 class BrokenBlock(Exception):

@@ -36,19 +36,17 @@ from residuum.service.storage.rows.row_checks import seal_rows_of_old
 from residuum.service.store import StorageUnavailable
 
 _MIGRATIONS = Path(__file__).parent / "migrations"
+# How long a writer waits for another process's lock [s].
 _PATIENCE = 10.0
-"""How long a writer waits for another process's lock [s]."""
+# Writers that wait for each other; beyond, who wants to write is told to come again, so that
+# threads are left for readers.
 _MOST_WRITERS = 16
-"""Writers that wait for each other; beyond, who wants to write is told to come again, so that
-threads are left for readers.
-"""
+# Seconds for which a connection of the pool is waited for.
 _POOL_PATIENCE = 10.0
-"""Seconds for which a connection of the pool is waited for."""
 
+# Bytes of a SQLite file whose structure is looked through in a fraction of a second: 0.2 s of
+# processor time, where its rows take some 4 s.
 _SMALL = 64 * 2**20
-"""Bytes of a SQLite file whose structure is looked through in a fraction of a second: 0.2 s of
-processor time, where its rows take some 4 s.
-"""
 
 
 SILENCE, LONG = 8.0, 600.0
@@ -260,10 +258,9 @@ def _alembic() -> Config:
     return config
 
 
+# `patience`: seconds for which what this thread asks a server for is waited for; None or none: the
+# usual ones.
 _of_thread = threading.local()
-"""`patience`: seconds for which what this thread asks a server for is waited for; None or none: the
-usual ones.
-"""
 
 
 def _engine(url: URL) -> Engine:

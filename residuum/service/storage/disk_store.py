@@ -55,20 +55,18 @@ SETTLED = 120.0
 database.
 """
 
+# Seconds for which who asks meanwhile waits for what another look finds.
 _CHECK_WITHIN = 2.0
-"""Seconds for which who asks meanwhile waits for what another look finds."""
+# Seconds between looks at whether something can be stored: each writes to the disk, and anybody may
+# ask for one.
 _CHECK_EVERY = 1.0
-"""Seconds between looks at whether something can be stored: each writes to the disk, and anybody
-may ask for one.
-"""
+# Pause [s] after every thousand rows that are looked at, in which requests are answered.
 _BETWEEN_ROWS = 0.1
-"""Pause [s] after every thousand rows that are looked at, in which requests are answered."""
+# [s] Of window times that are taken for a clock: from the year 2000 to 9999; others count from some
+# start.
 _FIRST_CLOCK, _LAST_CLOCK = 946_684_800.0, 253_402_300_000.0
-"""[s] Of window times that are taken for a clock: from the year 2000 to 9999; others count from
-some start.
-"""
+# By how much a window's own clock may be ahead of ours to be believed.
 _AHEAD = timedelta(minutes=1)
-"""By how much a window's own clock may be ahead of ours to be believed."""
 
 P = ParamSpec("P")
 Answer = TypeVar("Answer")

@@ -21,10 +21,9 @@ from residuum.service.storage.rows import block_rows
 from residuum.service.storage.tables import identity
 
 _FILE = "identity"
+# Newest signals of the rows of which one must be there, where folder or database hold no identity
+# yet.
 _LOOKED_AT = 100
-"""Newest signals of the rows of which one must be there, where folder or database hold no identity
-yet.
-"""
 
 
 class OtherDatabase(BadInput):

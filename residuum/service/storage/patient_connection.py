@@ -19,6 +19,7 @@ from residuum.service.storage.database import SILENCE
 
 CONNECT_WITHIN = 5
 """Seconds in which a server must take a connection."""
+# Settings of the connection's socket [s; the last one ms].
 _KEEPALIVE = {
     "keepalives": 1,
     "keepalives_idle": 5,
@@ -26,14 +27,13 @@ _KEEPALIVE = {
     "keepalives_count": 3,
     "tcp_user_timeout": 10_000,
 }
-"""Settings of the connection's socket [s; the last one ms]."""
+# Settings of each session [ms, s], so that the server lets go of one whose client is gone.
 _OF_SESSIONS = {
     "idle_in_transaction_session_timeout": 10_000,
     "tcp_keepalives_idle": 5,
     "tcp_keepalives_interval": 2,
     "tcp_keepalives_count": 3,
 }
-"""Settings of each session [ms, s], so that the server lets go of one whose client is gone."""
 
 
 class PatientConnection(psycopg.Connection[Any]):

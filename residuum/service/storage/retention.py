@@ -24,12 +24,12 @@ from residuum.service.store import AlarmRates
 # How often alarms are raised, out of their journal.
 
 _TEN_MINUTES, _HOUR, _DAY_OF_RATES = timedelta(minutes=10), timedelta(hours=1), timedelta(days=1)
+# More alarms than this in ten minutes are a flood for one operator (ANSI/ISA-18.2-2016, 16.5).
 _FLOOD = 10
-"""More alarms than this in ten minutes are a flood for one operator (ANSI/ISA-18.2-2016, 16.5)."""
+# An alarm that is raised so often within so many seconds chatters.
 _CHATTER, _CHATTER_WITHIN = 3, 60.0
-"""An alarm that is raised so often within so many seconds chatters."""
+# Alarms that are named as the most frequent ones.
 _MOST_NAMED = 10
-"""Alarms that are named as the most frequent ones."""
 
 
 def rates(connection: Connection, now: datetime) -> AlarmRates:
@@ -110,18 +110,16 @@ def _stale(connection: Connection, now: datetime) -> list[int]:
 
 
 _DAY = 86_400.0
+# Signals let go in one transaction, so that writers never wait long for it.
 _AT_ONCE = 500
-"""Signals let go in one transaction, so that writers never wait long for it."""
+# Share of what is there that may go for its age within a day, where the age by itself asks for
+# less.
 _SHARE = 0.1
-"""Share of what is there that may go for its age within a day, where the age by itself asks for
-less.
-"""
+# Windows that may go for their age within a day, however few there are.
 _LEAST = 10
-"""Windows that may go for their age within a day, however few there are."""
+# How far back the newest window may lie: beyond, the clock may have jumped, and nothing goes for
+# its age.
 _FARTHEST = timedelta(days=7)
-"""How far back the newest window may lie: beyond, the clock may have jumped, and nothing goes for
-its age.
-"""
 
 
 @dataclass(frozen=True)

@@ -45,10 +45,10 @@ from residuum.service.work.worker_pool import RecordParts
 
 SHOWN_POINTS = 2500
 """Points of a cloud in all."""
+# Bins of an axis that the mean of a term is drawn over.
 _BINS = 40
-"""Bins of an axis that the mean of a term is drawn over."""
+# Lines of a residual's spectrum that are drawn.
 _SPECTRUM_LINES = 600
-"""Lines of a residual's spectrum that are drawn."""
 
 
 class EffectUse(NamedTuple):
@@ -246,10 +246,8 @@ def _spectra(comparison: Comparison) -> Iterator[dict[str, Any]]:
 
 ESTIMATED_SHARE = 0.7
 """Part of each record that the parameters are estimated from; errors are told of the rest."""
+# Samples of each record that its error is told of, or it is told of those that were estimated from.
 _FEWEST_HELD_OUT = 50
-"""Samples of each record that its error is told of, or it is told of those that were estimated
-from.
-"""
 
 
 def add_effect(

@@ -37,13 +37,13 @@ _NEVER_RAISED = {
     "message": "",
     "occurrences": 0,
 }
+# Verdict → the kinds of alarms that it tells of, each with whether its condition is shown.
 _CONDITIONS: dict[Verdict, tuple[tuple[str, bool], ...]] = {
     Verdict.FAULTY: ((MACHINE, True), (SIGNAL, False)),
     Verdict.HEALTHY: ((MACHINE, False), (SIGNAL, False)),
     # A window that cannot be judged says nothing about the machine: its alarm stays as it is.
     Verdict.NOT_ASSESSABLE: ((SIGNAL, True),),
 }
-"""Verdict → the kinds of alarms that it tells of, each with whether its condition is shown."""
 _LISTED = tuple(state.value for state in ACTIVE)
 
 
