@@ -33,8 +33,10 @@ _BEGIN = len(MAGIC) + 8
 _CRC = 4
 # Bytes: a line of the processor's cache.
 _ALIGNMENT = 64
+# A quota that is used up is a full disk to whoever sends a window: 507 (RFC 4918, 11.5), not 503.
 _FULL = (errno.ENOSPC, errno.EDQUOT)
-# Bytes of a small window, whose room is tried.
+# Bytes of a small window, whose room is tried. Written, not asked for: a file system's free bytes
+# tell nothing of a quota or a read-only mount.
 _PROBE = 64 * 1024
 # Bytes of a long channel that are read at once.
 _PIECE = 2**20
@@ -77,6 +79,7 @@ class Blocks:
         name = f"{uuid.uuid4().hex}.block"
         try:
             folder = self._day_folder(day)
+            # Unbuffered: fsync takes to the disk only what has left the process.
             with open(folder / name, "xb", buffering=0) as file:
                 digest = _write_all(file.fileno(), parts)
                 # The file's bytes, then its name in the folder: a file whose entry is not on disk
@@ -248,6 +251,8 @@ def _parts(record: Record) -> list[bytes | memoryview]:
         "source": record.source,
         "channels": entries,
     }
+    # The header has a checksum of its own: a bit that flipped in it would name other units or other
+    # places of samples, which no channel's checksum sees.
     header = orjson.dumps(described)
     header += b" " * (-(_BEGIN + _CRC + len(header)) % _ALIGNMENT)
     begin = MAGIC + len(header).to_bytes(8, "little")

@@ -55,7 +55,8 @@ SETTLED = 120.0
 database.
 """
 
-# Seconds for which who asks meanwhile waits for what another look finds.
+# Seconds for which who asks meanwhile waits for what another look finds. Whoever asks for readiness
+# wants an answer while the database gives none.
 _CHECK_WITHIN = 2.0
 # Seconds between looks at whether something can be stored: each writes to the disk, and anybody may
 # ask for one.
@@ -134,6 +135,7 @@ class DiskStore:
         self._blocks = Blocks(data / "blocks")
         self._clock = Clock()
         self.damage: str | None = None
+        # After the migration, which begins the database's file: known is what this run has opened.
         self._place = SamePlace(self._blocks.folder, sqlite_file(database_url))
         self._announce = announce
         self._rule_of = rule_of
@@ -288,6 +290,8 @@ class DiskStore:
             window = window_rows.add(connection, asset, record, block, now, request)
             number = asset_rows.add_finding(connection, asset, window, finding, now)
             finding_notices.add(connection, number)
+            # Alarms and their notices in the window's own transaction: a process that dies in
+            # between has kept both or neither (docs/decisions/0014).
             rule = self._rule_of(asset)
             judged = alarm_rows.JudgedWindow(
                 window,
@@ -299,6 +303,7 @@ class DiskStore:
             )
             changed = alarm_rows.follow(connection, asset, judged)
         self._refuse_moved()
+        # After the commit: a page that hears of it reads the rows at once, and must find them.
         self._announce("finding", StoredFinding(number, asset, window, now, finding).to_json())
         for alarm in changed:
             self._announce("alarm", alarm.to_json())

@@ -26,9 +26,11 @@ from residuum.service.store import AlarmRates
 _TEN_MINUTES, _HOUR, _DAY_OF_RATES = timedelta(minutes=10), timedelta(hours=1), timedelta(days=1)
 # More alarms than this in ten minutes are a flood for one operator (ANSI/ISA-18.2-2016, 16.5).
 _FLOOD = 10
-# An alarm that is raised so often within so many seconds chatters.
+# An alarm that is raised so often within so many seconds chatters. Three times a minute are where
+# ANSI/ISA-18.2 begins to look for chattering alarms.
 _CHATTER, _CHATTER_WITHIN = 3, 60.0
-# Alarms that are named as the most frequent ones.
+# Alarms that are named as the most frequent ones. As many as its clause 16 looks at: a few alarms
+# make most of an operator's load.
 _MOST_NAMED = 10
 
 
@@ -40,6 +42,8 @@ def rates(connection: Connection, now: datetime) -> AlarmRates:
         .where(
             alarm_journal.c.at > now - _DAY_OF_RATES,
             alarm_journal.c.event == AlarmEvent.RAISE.value,
+            # Raised while shelved, suppressed or out of service, an alarm asked nothing of an
+            # operator.
             alarm_journal.c.state == AlarmState.UNACKNOWLEDGED.value,
         )
         .order_by(alarm_journal.c.at)

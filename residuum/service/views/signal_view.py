@@ -58,6 +58,7 @@ def extremes(signal: npt.NDArray[Any], most: int) -> Extremes:
     samples = max(1, -(-n // most))
     whole = n // samples
     body = signal[: whole * samples].reshape(whole, samples)
+    # fmin and fmax pass NaN over: by min and max one missing sample would blank its whole interval.
     lowest, highest = np.fmin.reduce(body, axis=1), np.fmax.reduce(body, axis=1)
     remainder = n - whole * samples
     if remainder:

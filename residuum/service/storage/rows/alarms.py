@@ -422,6 +422,8 @@ def _change(
     detail = {"asset": row.asset_id, "kind": row.kind, "state": row.state, "comment": note.comment}
     audit.append(connection, action, subject, by=note.by, now=note.at, detail=detail)
     changed = _alarm(row)
+    # In a flood its one notice stands for all alarms; what people do with alarms is told all the
+    # same.
     if not alarm_floods.takes(connection, note.event, flood, note.at):
         outbox.add(connection, changed)
     return changed

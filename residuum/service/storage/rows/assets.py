@@ -21,7 +21,8 @@ _DOCUMENTS = (
     findings.c.evidence,
     findings.c.reason,
 )
-# Bytes of the indicators that are read for one history.
+# Bytes of the indicators that are read for one history. Numbers alone, so that a curve over a long
+# time may be larger than a list's page.
 _HISTORY = 3 * paging.PAGE_BYTES
 
 
