@@ -80,6 +80,8 @@ def _read(question: type[Question], name: str, value: Any) -> Any:
     """A value as the question reads it: of texts with commas a list, of `NAME=VALUE` or
     `NAME=LOW:HIGH` a mapping.
     """
+    # A field that has a written form of its own (`ID[:SIZE]`) is parted by its question, for every
+    # door.
     if written(question.model_fields[name]):
         return value
     taken = _taken(question, name)
@@ -93,6 +95,7 @@ def _read(question: type[Question], name: str, value: Any) -> Any:
 
 def _mapping(texts: Iterable[str], name: str, form: str) -> dict[str, str | list[str]]:
     """Texts of a form, of which the first word is the key, as a mapping."""
+    # The form that the help shows is the one that is read: they cannot come apart.
     pattern = re.sub("[A-Z]+", "(.+?)", form)
     mapping: dict[str, str | list[str]] = {}
     for text in texts:
@@ -119,11 +122,13 @@ def _option(question: type[Question], name: str) -> inspect.Parameter:
     )
     form: Any = _FORMS.get(taken, _FORMS.get(get_origin(taken), str))
     if taken is bool:
+        # A flag that is on by default can only be taken back, by `--no-…`.
         option, default, form = (
             option if not field.default else f"{option}/--no-{option[2:]}",
             field.default,
             bool,
         )
+    # Rich takes brackets for markup: units such as [s] were missing in the help.
     text = help_of(field).replace("[", "\\[") + (
         " Repeat it for several." if form == list[str] else ""
     )

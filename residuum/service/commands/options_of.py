@@ -27,6 +27,7 @@ def expanded(
     """A command with these options in the place of the parameter `name`, which is `question_of` of
     what they say.
     """
+    # With extras: typer's options stand in `Annotated`, which is dropped otherwise.
     hints = get_type_hints(function, include_extras=True)
 
     def command(**given: Any) -> Any:
@@ -41,6 +42,7 @@ def expanded(
     }
     own[name] = list(options.values())
     signature = inspect.Signature([part for listed in own.values() for part in listed])
+    # The name and the text of the help are the command's own.
     command.__name__, command.__doc__ = function.__name__, function.__doc__
     # Typer reads the signature for the order, and the annotations for the types.
     command.__signature__ = signature  # type: ignore[attr-defined]

@@ -40,6 +40,7 @@ def report_command(
     """Write records, and how well a model meets them, as one page that opens offline and can be
     sent.
     """
+    # By its ending, not by looking into it: a record's refusal is then a record's.
     model, records = (files[0], files[1:]) if _is_model(files[0]) else (None, files)
     if not records:
         raise BadInput(

@@ -54,6 +54,7 @@ def browse(
         )
     except ValueError as error:
         raise BadInput(f"{broker}: {error}") from None
+    # They stand in topics, where `+` and `#` would subscribe to other nodes as well.
     if re.fullmatch(f"{NAME}/{NAME}", node) is None:
         raise BadInput(f"{node}: must be GROUP/NODE, without + and #")
     devices = _numeric_metrics(address, node)
