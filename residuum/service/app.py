@@ -49,7 +49,8 @@ from residuum.service.work.worker_pool import WorkerPool
 log = structlog.get_logger()
 
 API = "/api/v1"
-# Seconds between looks at shelved alarms that have run out. Shelving is said in minutes.
+# Seconds between looks at shelved alarms that have run out: fine enough, as shelving is said in
+# minutes.
 _TICK = 5.0
 # Seconds for which equal refusals are one entry of the audit trail. Somebody who guesses keys would
 # else write the trail full, and queue all other writers for it.

@@ -42,7 +42,8 @@ def expanded(
     }
     own[name] = list(options.values())
     signature = inspect.Signature([part for listed in own.values() for part in listed])
-    # The name and the text of the help are the command's own.
+    # Typer takes a command's name and help from the function: those of this wrapper would say
+    # nothing.
     command.__name__, command.__doc__ = function.__name__, function.__doc__
     # Typer reads the signature for the order, and the annotations for the types.
     command.__signature__ = signature  # type: ignore[attr-defined]

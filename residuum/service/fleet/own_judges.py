@@ -47,7 +47,7 @@ class RescoreOwn:
     @property
     def mark(self) -> str:
         """What the results are made by: every machine's diagnoser, baseline and method."""
-        # A run that is gone on with after a baseline was accepted would hold results of both.
+        # Without it a run that is resumed after a baseline was accepted would mix findings of both.
         return hashlib.sha256(f"rescore {OWN} {self.judges!r}".encode()).hexdigest()[:16]
 
     def __call__(self, window: str) -> dict[str, Any]:

@@ -41,8 +41,8 @@ _PATIENCE = 10.0
 # Writers that wait for each other; beyond, who wants to write is told to come again, so that
 # threads are left for readers.
 _MOST_WRITERS = 16
-# Seconds for which a connection of the pool is waited for. Without an end, a partition of 60 s was
-# never recovered from: threads waited for threads.
+# Seconds for which a connection of the pool is waited for. No wait had an end once, and a service
+# never recovered from a partition of 60 s.
 _POOL_PATIENCE = 10.0
 
 # Bytes of a SQLite file whose structure is looked through in a fraction of a second: 0.2 s of

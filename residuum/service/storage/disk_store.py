@@ -55,8 +55,8 @@ SETTLED = 120.0
 database.
 """
 
-# Seconds for which who asks meanwhile waits for what another look finds. Whoever asks for readiness
-# wants an answer while the database gives none.
+# Seconds for which who asks meanwhile waits for what another look finds; then readiness is denied,
+# for it must be answered also where the database says nothing.
 _CHECK_WITHIN = 2.0
 # Seconds between looks at whether something can be stored: each writes to the disk, and anybody may
 # ask for one.

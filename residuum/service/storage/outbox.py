@@ -79,8 +79,8 @@ def after(connection: Connection, last_number: int) -> Notice | None:
     row = connection.execute(query).first()
     if row is None:
         return None
-    # A damaged notice is passed over: waited for, it held up its receiver for all that came behind
-    # it.
+    # A damaged notice is passed over: one that was no JSON any more held up its receiver, for ever,
+    # from all that came behind it.
     alarm = None if row_checks.differs(alarm_notices, row._mapping) else row.alarm
     return Notice(row.number, alarm, row.number - last_number - 1)
 

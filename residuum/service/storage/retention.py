@@ -29,8 +29,8 @@ _FLOOD = 10
 # An alarm that is raised so often within so many seconds chatters. Three times a minute are where
 # ANSI/ISA-18.2 begins to look for chattering alarms.
 _CHATTER, _CHATTER_WITHIN = 3, 60.0
-# Alarms that are named as the most frequent ones. As many as its clause 16 looks at: a few alarms
-# make most of an operator's load.
+# Alarms that are named as the most frequent ones, as many as ANSI/ISA-18.2 (clause 16) looks at: a
+# few alarms make most of an operator's load.
 _MOST_NAMED = 10
 
 
