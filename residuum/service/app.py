@@ -49,9 +49,11 @@ from residuum.service.work.worker_pool import WorkerPool
 log = structlog.get_logger()
 
 API = "/api/v1"
-# Seconds between looks at shelved alarms that have run out.
+# Seconds between looks at shelved alarms that have run out: fine enough, as shelving is said in
+# minutes.
 _TICK = 5.0
-# Seconds for which equal refusals are one entry of the audit trail.
+# Seconds for which equal refusals are one entry of the audit trail. Somebody who guesses keys would
+# else write the trail full, and queue all other writers for it.
 _AUDIT_EVERY = 10.0
 # Seconds between looks at signals that need not be kept.
 _RETAIN_EVERY = 60.0
@@ -67,6 +69,8 @@ def create_app(settings: Settings, make_pipeline: MakePipeline | None = None) ->
     """
     keys = ApiKeys(settings.api_keys, tokens=settings.oidc_issuer is not None)
     tokens = None if settings.oidc_issuer is None else BearerTokens(settings)
+    # Here and not with the rest: the gate is made with the app, and refuses before the service has
+    # started.
     refusals = Refusals()
     pipeline = make_pipeline or (DemoPipeline if settings.demo else Pipeline)
 
@@ -91,6 +95,8 @@ def create_app(settings: Settings, make_pipeline: MakePipeline | None = None) ->
         ),
         version=version("residuum"),
         lifespan=lifespan,
+        # FastAPI's own pages fetch scripts from the network, which neither the content policy nor a
+        # plant's firewall lets in.
         docs_url=None,
         redoc_url=None,
     )
@@ -110,6 +116,7 @@ def create_app(settings: Settings, make_pipeline: MakePipeline | None = None) ->
 
 
 def _add_routes(app: FastAPI) -> None:
+    # Health also without the prefix, where orchestrators look for it; told once in the document.
     for router in (*ROUTERS, health.router):
         app.include_router(router, prefix=API)
     app.include_router(health.router, include_in_schema=False)
@@ -195,7 +202,10 @@ async def _running(
             threading.Thread(
                 target=_look_for_damage, args=(store,), name="look for damage", daemon=True
             ).start()
+        # Beside the start: the registry of units is read with the first unit, and would hold up
+        # whoever brings it.
         threading.Thread(target=read_registry, name="read units", daemon=True).start()
+        # After the store, the listeners and the workers: its first window uses all of them.
         await pipeline.start()
         # routes are put together at first use, which would hold up whoever asks then
         await asyncio.to_thread(app.openapi)
@@ -300,6 +310,7 @@ async def _retain(store: DiskStore, settings: Settings) -> None:
             freed = await asyncio.to_thread(store.retain, rule)
             if freed:
                 log.info("let signals go", windows=freed)
+            # A doubt is logged once, not each minute for as long as the clock is wrong.
             doubt = store.troubles().get("retention")
             if doubt not in (None, logged):
                 log.error("signals and rows are kept beyond their days", reason=doubt)
@@ -327,6 +338,8 @@ def tell_latest(store: DiskStore, outs: Sequence[Out]) -> None:
     """
     if not outs:
         return
+    # Of what a broker or a server offers, clients see the latest: after a start it would be empty
+    # until the next window of each machine.
     assets = _all(store.assets)
     news = [
         ("finding", asset.last_finding.to_json())
@@ -359,6 +372,8 @@ def _all(read: Callable[[str | None], Page[T]]) -> Iterator[T]:
 
 # How long the event loop is held up: everything that the service answers waits for it.
 
+# A stall of 100 ms, the longest that is allowed (`python -m benchmarks.unit_bombs`), is then seen
+# as at least half of it.
 TICK = 0.05
 """Seconds between looks."""
 

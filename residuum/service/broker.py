@@ -15,6 +15,7 @@ from residuum.identification.errors import BadInput
 
 # Where an MQTT broker is, how it is entered, and what topics begin with.
 
+# The ports registered for MQTT, and for MQTT over TLS.
 _PORTS = {"mqtt": 1883, "mqtts": 8883}
 
 
@@ -40,6 +41,8 @@ class BrokerTls(BaseModel):
         cannot be used.
         """
         try:
+            # The default context compares the name and asks for a chain; an authority of ours takes
+            # the place of the system's, so that no public one can vouch for a plant's broker.
             tls = ssl.create_default_context(cafile=self.ca)
         except (OSError, ssl.SSLError) as error:
             raise BadInput(f"{self.ca}: holds no certificate of an authority: {error}") from None
@@ -121,6 +124,7 @@ def _host_of(url: str, parts: SplitResult) -> str:
 
 # Addresses as they are shown: without the password of their user info.
 
+# Matched by hand and not parsed: an address that is malformed must hide its password as well.
 _USER_INFO = re.compile(r"^([^/]*//)([^/?#]*)@")
 
 

@@ -18,9 +18,12 @@ from residuum.service.commands import COMMANDS, as_option
 from residuum.service.entry import end_at_once
 from residuum.service.work.loaded_modules import loading_modules
 
+# A "no" is told from a mistake, and a mistake from a fault of ours, so that scripts can tell them;
+# 130 is 128 + SIGINT, as shells have it.
 DONE, ANSWER_IS_NO, BAD_INPUT, OUR_FAULT, INTERRUPTED = 0, 1, 2, 3, 130
 
-# Bytes of a model file that are looked at for the FMU that it names.
+# Bytes of a model file that are looked at for the FMU that it names. A key of the file's first
+# level; parsing the whole YAML would cost each command its time.
 _HEAD = 10_000
 # The base of typer's usage errors, which typer itself does not export by name.
 _UsageError: type[Exception] = typer.BadParameter.__mro__[2]

@@ -103,6 +103,8 @@ class EdgeNode:
         # not from 0 on: a node that was restarted should not have the number of its earlier birth
         self._birth_number = int(time.time()) % _TURN
         self._client = address.client()
+        # Bounded by seconds: paho's own two minutes would leave a control room without findings for
+        # as long.
         self._client.reconnect_delay_set(1, 5)
         self._client.on_connect, self._client.on_disconnect = self._on_connect, self._on_disconnect
         self._client.on_message = self._on_command
@@ -120,6 +122,8 @@ class EdgeNode:
                 death = self._client.publish(self._topic("NDEATH"), self._death(), qos=1)
                 self._born = False
                 with suppress(RuntimeError, ValueError):
+                    # A client that leaves in good order has no will: without this message hosts
+                    # would take its last values for present ones.
                     death.wait_for_publish(_PATIENCE)
         self._client.disconnect()
         self._client.loop_stop()
@@ -133,6 +137,7 @@ class EdgeNode:
             for name, value in values.items():
                 alias = self._aliases.setdefault((device, name), len(self._aliases) + 1)
                 known[name] = Metric(name, value, _datatype(value), alias, at)
+            # Kept all the same: the birth of the next connection tells it.
             if not self._born:
                 return
             if fresh:
@@ -152,6 +157,7 @@ class EdgeNode:
 
     def _be_born(self) -> None:
         with self._lock:
+            # A birth of the node begins the sequence at 0 (Sparkplug 3.0).
             self._seq, self._born = 0, True
             now = _now()
             own = [

@@ -22,7 +22,7 @@ from residuum.service.security.access import LONGEST_NAME, ApiKeys, Role
 from residuum.service.settings import Settings
 
 log = structlog.get_logger()
-# [s] Between looks for news.
+# [s] Between looks for news, which come a window at a time; one look serves all machines.
 _TICK = 0.05
 # [s] For the server to start, and for its sessions to end: a certificate may have to be made.
 _STARTING = 30.0
@@ -131,6 +131,8 @@ def entrance_of(settings: Settings, keys: ApiKeys) -> Entrance | None:
             caller is not None
             and caller.name == name
             and caller.role >= Role.VIEWER
+            # A server has one tree of nodes for all its clients: a key of some sites would see the
+            # others.
             and caller.sites is None
         )
         if not may:

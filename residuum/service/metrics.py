@@ -15,7 +15,9 @@ from residuum.service.machines.machine_state import counted
 # Methods that have a label of their own: a stranger may send any word as a method, and each would
 # be kept for ever.
 _METHODS = frozenset(("GET", "HEAD", "POST", "PUT", "PATCH", "DELETE", "OPTIONS"))
+# Around the 100 ms for which the loop may be held up at most (docs/explanation/threat-model.md).
 _STALLS = (0.005, 0.01, 0.025, 0.05, 0.1, 0.25, 0.5, 1, 2.5)
+# From a short window's score, under a millisecond, to the seconds of a long answer.
 _SECONDS = (0.0005, 0.001, 0.0025, 0.005, 0.01, 0.025, 0.05, 0.1, 0.25, 0.5, 1, 2.5, 10)
 
 

@@ -32,7 +32,8 @@ from residuum.service.store import StorageUnavailable
 
 log = structlog.get_logger()
 
-# Seconds between looks for what other processes on the same database changed.
+# Seconds between looks for what other processes on the same database changed. Changes of this
+# process are told at once; only what others wrote is waited for.
 _LOOK = 1.0
 # Seconds for a receiver's answer, and after which the outbox is told which findings of a batch were
 # told.

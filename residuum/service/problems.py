@@ -28,6 +28,8 @@ from residuum.service.work.jobs import TooManyJobs
 log = structlog.get_logger()
 
 
+# 410 for a signal that the retention rule let go: it was there, and will not come back. 422 for
+# what is well formed and wrong, which 400 is not.
 _STATUS: dict[type[Exception], int] = {
     NotFound: 404,
     SignalLetGo: 410,
@@ -40,7 +42,8 @@ _STATUS: dict[type[Exception], int] = {
     TooBusy: 503,
     BadInput: 422,
 }
-# Characters of a refusal, which may repeat what a client sent.
+# Characters of a refusal, which may repeat what a client sent. Of a body of megabytes a line that
+# can be read must be left.
 _MOST_SHOWN = 500
 
 

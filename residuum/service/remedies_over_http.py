@@ -34,6 +34,7 @@ class SaidToClients:
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Answer a request."""
+        # Set anew by each request, which runs in a context of its own.
         SAID_IN.set(as_key)
         await self.app(scope, receive, send)
 

@@ -30,9 +30,11 @@ if TYPE_CHECKING:
 
 P = ParamSpec("P")
 T = TypeVar("T")
-# Long bodies that are read at once.
+# Long bodies that are read at once. A reader may take `upload_memory` and a processor each.
 _READERS = 2
-# Bytes that answers may take together while they are made.
+# Bytes that answers may take together while they are made. Without a bound one list took 595 MiB
+# and five of them 2.4 GiB; with it, any hundred questions at once take at most 256 MiB (`python -m
+# benchmarks.memory_by_question`).
 _MEMORY = 160 * MIB
 # Bytes that a page of a list takes while it is made: rows of 1 MiB as values of Python, and as
 # JSON.
@@ -40,7 +42,8 @@ _LISTED = 16 * MIB
 # Times its samples that a question about a stored signal takes: the block, what is made of it, the
 # answer.
 _COPIES = 5
-# Bytes that a single answer may take.
+# Bytes that a single answer may take. So that a question about one signal is made of 12.8 MiB of
+# samples at most.
 _ONE = 64 * MIB
 
 

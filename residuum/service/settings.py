@@ -29,7 +29,8 @@ from residuum.service.fieldbus.settings import MachineSettings
 SETTINGS_FILE = "RESIDUUM_SETTINGS"
 """Environment variable that names the YAML file."""
 
-# The YAML file that `load_settings` was given, while it builds the settings.
+# The YAML file that `load_settings` was given, while it builds the settings. In a variable of the
+# context, not in the environment: there the next settings of the process read it, too.
 _FILE_GIVEN: ContextVar[Path | None] = ContextVar("_FILE_GIVEN", default=None)
 
 

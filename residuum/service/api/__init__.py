@@ -33,6 +33,8 @@ from residuum.service.api import (
     windows,
 )
 
+# Their order is that of the OpenAPI document, in which clients read it: judging first, then
+# machines, what is stored, what is made of it.
 ROUTERS: tuple[APIRouter, ...] = (
     score.router,
     diagnosers.router,

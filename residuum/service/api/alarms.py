@@ -38,7 +38,12 @@ class Shelving(Remark):
     """For how long an alarm is put aside."""
 
     minutes: float = Field(
-        60.0, gt=0, le=7 * 24 * 60, description="The alarm comes back by itself after this long."
+        # Bounded, for a shelved alarm must come back by itself (ANSI/ISA-18.2, shelving); what
+        # should be away for longer is taken out of service, with its own states.
+        60.0,
+        gt=0,
+        le=7 * 24 * 60,
+        description="The alarm comes back by itself after this long.",
     )
 
 
@@ -57,6 +62,7 @@ async def list_alarms(
     )
 
 
+# Before `/{alarm}`, as all routes with a word of their own: the first that matches answers.
 @router.get("/rates", response_model=AlarmRatesAnswer)
 def alarm_rates(running: Running) -> Response:
     """How many alarms were raised of late, which ones most often, and whether there is a flood
@@ -130,6 +136,7 @@ def shelve(
     rule = running.pipeline.alarm_rule(_visible(request, running, alarm).asset)
     # Refused by the rule of the alarm's own machine, before anything is written.
     rule.refuse_shelving(shelving.minutes, shelving.comment)
+    # A moment and not a length: it is kept, and holds after a restart.
     until = datetime.now(UTC) + timedelta(minutes=shelving.minutes)
     return _operate(request, running, alarm, AlarmEvent.SHELVE, shelving, until)
 
@@ -190,6 +197,7 @@ def _operate(
     remark: Remark | None,
     until: datetime | None = None,
 ) -> Response:
+    # First: a key of another site must not learn by a 409 that there is such an alarm.
     _visible(request, running, alarm)
     comment = remark.comment if remark else None
     return Json(
@@ -200,6 +208,8 @@ def _operate(
 def _visible(request: Request, running: Services, alarm: int) -> Alarm:
     """The alarm; NotFound also when it is of a site that is not the caller's."""
     stored = running.store.alarm(alarm)
+    # 404, as for a number that no alarm has: 403 would say that there is one (OWASP API1, broken
+    # object level authorization).
     if not caller_of(request).may_see(stored.asset):
         raise NotFound(f"alarm {alarm}: there is none of this number")
     return stored

@@ -35,6 +35,7 @@ from residuum.service.work.worker_pool import RecordParts, parts_of
 
 router = APIRouter(tags=["analyses"], route_class=StrictRoute, responses=PROBLEMS)
 
+# Up to what JavaScript, and with it the page, tells from its neighbours.
 RecordNumbers = Annotated[
     list[Annotated[int, Field(ge=1, le=2**53 - 1)]],
     Field(
@@ -54,6 +55,7 @@ Names = Annotated[
 ]
 
 
+# Unknown fields are refused: passed over, a mistyped one would leave an answer to another question.
 class OnRecords(BaseModel, extra="forbid"):
     """Which records a model is held against."""
 
@@ -91,6 +93,7 @@ class Identification(Identify):
     save_as: SaveAs = None
 
     @model_validator(mode="after")
+    # Refused before the job: minutes later it would have nothing that could be stored.
     def _one_path_is_kept(self) -> Identification:
         if self.save_as is not None and self.is_multivariable:
             raise BadInput(
@@ -116,6 +119,7 @@ class ModelVersion(BaseModel, extra="forbid"):
     version: int | None = Field(None, ge=1, le=10**9, description="Null: the newest.")
 
 
+# A name alone is how bodies named models before versions could be said.
 def _as_version(given: object) -> object:
     return {"model": given} if isinstance(given, str) else given
 
@@ -165,6 +169,8 @@ def compare(running: Running, model: ModelName, asked: Comparison) -> Response:
 def explain(running: Running, model: ModelName, asked: Explanation) -> Response:
     """Which physical effect is missing in the model? The result is the `explain` object."""
     work, question = _asked(running, model, asked), part_of(asked, Explain)
+    # Here and not in the job: a mistyped effect is refused at once, with 404, and starts no
+    # process.
     _check_known(question, question.effects, work)
     return accepted(running.jobs.submit("explain", analyses.explain, work, question, then=_result))
 
@@ -231,10 +237,12 @@ def residuals(running: Running, asked: Residuals) -> Response:
     `run` a record.
     """
     healthy, records = _records(running, asked.healthy), _records(running, asked.records)
+    # Read before the job is made: it gets bytes, for its process has no store.
     content = content_of(running, asked.model, "identified", None)
     questions = part_of(asked, DesignResidual), part_of(asked, RunResidual)
 
     def named(outcome: Mapping[str, Any]) -> Mapping[str, Any]:
+        # Results name records by their numbers, which the process does not know.
         runs = zip(outcome["runs"], asked.records, strict=True)
         return {
             "design": outcome["design"],
@@ -308,6 +316,7 @@ def _check_known(question: Explain, names: Sequence[str] | None, given: Asked) -
     if given.text is not None:
         # its own effects are in the catalogue of this request from now on
         model_of(given.model, given.text)
+    # `ID@BALANCE` and `ID:SIZE` are the written forms of an effect.
     ids = [re.split("[@:]", name)[0] for name in names]
     unknown = [id for id in ids if id not in EFFECTS and id not in STRUCTURAL]
     if unknown:
@@ -333,6 +342,7 @@ def _records(running: Services, numbers: Sequence[int]) -> list[RecordParts]:
 
 def content_of(running: Services, model: str, kind: str, version: int | None) -> bytes:
     """The file of a stored model's version (None: the newest); Conflict for one of another kind."""
+    # A name has one kind for all its versions, so the newest tells it.
     actual = running.store.model_versions(model)[0].kind
     if actual != kind:
         raise Conflict(

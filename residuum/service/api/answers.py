@@ -25,6 +25,7 @@ class Problem(BaseModel):
     )
 
 
+# Said once a router: every refusal has the same shape, whatever the route (RFC 9457).
 PROBLEMS: dict[int | str, dict[str, Any]] = {
     "4XX": {
         "model": Problem,
@@ -41,6 +42,8 @@ class PageOf(BaseModel, Generic[T]):
     next_cursor: str | None = Field(description="Ask for the next page with it; null at the end.")
 
 
+# These shapes are for the document alone: answers are written by orjson, without a pass through
+# pydantic.
 class ScoreAnswer(BaseModel):
     """What a diagnoser says of one window."""
 
@@ -48,6 +51,7 @@ class ScoreAnswer(BaseModel):
     verdict: str = Field(
         description="`healthy`, `faulty` or `not-assessable` (then `reason` says why)."
     )
+    # `class` is a word of Python.
     fault_class: str | None = Field(alias="class")
     ne107: str = Field(
         description=(

@@ -93,6 +93,8 @@ def propose_model(
     diagnoser = running.store.asset(asset).diagnoser
     if diagnoser is None:
         raise Conflict(f"asset {asset!r}: has no diagnoser whose thresholds could be derived")
+    # Learned from the earlier ones, checked on the later: windows that overlap are joined before,
+    # so that none is on both sides.
     to_learn, kept_aside = parted(healthy_windows(running.store, asset))
     learned = [parts_of(record) for record in to_learn]
     checked = [parts_of(record) for record in kept_aside]
@@ -104,6 +106,8 @@ def propose_model(
 
     def keep(outcome: Mapping[str, Any]) -> Mapping[str, Any]:
         note = f"{diagnoser} relearned for {_said(asked)}"
+        # Under a name of its own, which nobody judges by: a proposal changes nothing before it is
+        # accepted.
         version = running.store.add_model_version(name, "baseline", outcome["baseline"], note, by)
         return {
             **{key: value for key, value in outcome.items() if key != "baseline"},
@@ -123,6 +127,8 @@ def accept_model(
     """
     running.store.asset(asset)
     name, text = stored_model(running.store, asked.model, asked.version)
+    # A copy of the text, for built-in models too: what was accepted stays as it was after an
+    # update.
     content = write_model(model_of(name, None)).encode() if text is None else text
     by, remark = caller_of(request).name, f"{_said(asked)}{f': {asked.note}' if asked.note else ''}"
     # The thresholds first: the model is the active one only when they are kept.
@@ -134,6 +140,7 @@ def accept_model(
         )
         remark += f" (thresholds of proposal {asked.proposal})"
     running.store.add_model_version(_active(asset), "physical", content, remark, by)
+    # Told last: who hears of it judges by it.
     running.events.publish("model-accepted", {"asset": asset, "model": asked.model, "by": by})
     return Json(_accepted(running, asset), 201, {"Location": f"/api/v1/assets/{asset}/model"})
 

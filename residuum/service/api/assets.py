@@ -43,6 +43,8 @@ def get_asset(running: Running, asset: AssetName) -> Response:
 @router.put("/{asset}", response_model=AssetAnswer)
 def put_asset(running: Running, asset: AssetName, settings: AssetSettings) -> Response:
     """Make an asset known, or change its title or diagnoser."""
+    # Refused before the asset is made known: its windows could not be judged by a name that is
+    # none.
     if settings.diagnoser is not None:
         diagnoser_class(settings.diagnoser)
     running.store.ensure_asset(asset, settings.title, settings.diagnoser)
@@ -77,6 +79,7 @@ async def get_indicators(
     With `from` or `to`, of findings spread over that time: where there are more than `limit`, the
     worst of every stretch. Of what would take more than 3 MiB the newest are told.
     """
+    # Without a span the newest are told, as a page that follows a machine asks for them.
     span = None if begin is None and end is None else open_span(begin, end)
     return await running.listing(lambda: Json(vars(running.store.indicators(asset, limit, span))))
 

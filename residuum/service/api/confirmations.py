@@ -87,6 +87,7 @@ def confirm(
     # As the spans of time: a moment without a zone is one of UTC.
     if found.found_at is not None and found.found_at.tzinfo is None:
         fields["found_at"] = found.found_at.replace(tzinfo=UTC)
+    # Beside `who`: a fitter's finding may be typed in by somebody else, and the trail names both.
     caller = caller_of(request).name
     confirmation = running.store.confirm(asset, finding, FoundAtMachine(**fields), caller)
     return Json(confirmation.to_json(), 201)

@@ -24,6 +24,8 @@ router = APIRouter(tags=["analyses"], route_class=StrictRoute, responses=PROBLEM
 class ControlView(ControlDesign):
     """The same question, to look at; source text in every language comes with it."""
 
+    # Names of before the question was declared once for all doors; read for one more release, with
+    # a word to the client.
     renamed: ClassVar[Mapping[str, str]] = {
         "low_gain_db": "low_gain",
         "smallest_high_gain_db": "high_gain",
@@ -46,5 +48,6 @@ def view(running: Running, asked: ControlView) -> Response:
     """Controllers along the front of what is possible: bounds, open loop, step responses of drawn
     plants, code to download.
     """
+    # Without `export`: the source in each language comes with every point.
     work = (*models_of(running, asked), part_of(asked, DesignController))
     return accepted(running.jobs.submit("control-view", view_control_design, *work))

@@ -23,10 +23,11 @@ router = APIRouter(
     prefix="/effects", tags=["analyses"], route_class=StrictRoute, responses=PROBLEMS
 )
 
+# Stored models whose effects are listed. Each is read and parsed for the answer.
 _MOST_MODELS = 200
-"""Stored models whose effects are listed."""
+# Of a number of a curve that is drawn. More than a screen resolves; a third of the bytes of a
+# float's 17.
 _DIGITS = 5
-"""Of a number of a curve that is drawn."""
 
 
 class EffectParameter(BaseModel):
@@ -108,6 +109,7 @@ def _uses(name: str, version: int | None, model: PhysicalModel) -> Iterator[dict
         yield {"effect": use.id, "model": name, "version": version, "balance": use.target}
 
 
+# Made once: they are the catalogue's own equations, which do not change while the service runs.
 @lru_cache(maxsize=1)
 def _signatures() -> list[dict[str, Any]]:
     return [_signature(id) for id in EFFECTS]

@@ -34,6 +34,8 @@ async def stream_events(
     caller = caller_of(request)
 
     def wanted(event: Event) -> bool:
+        # An event without an asset is of the whole plant, and goes to keys of the whole plant
+        # alone.
         mine = caller.sites is None or (event.asset is not None and caller.may_see(event.asset))
         return mine and (not kinds or event.kind in kinds)
 
@@ -56,10 +58,15 @@ def event_stream(
     begin = last_event_id or events.now()
 
     async def lines() -> AsyncIterator[bytes]:
+        # At once, so that the client sees the head of the answer before the first event.
         yield b": connected\n\n"
         async for event in events.listen(begin):
             if event is None:
+                # A comment (server-sent events): proxies close connections on which nothing comes,
+                # and a client that has gone is noticed by a write alone.
                 yield b": still here\n\n"
+            # A reset goes to everybody: who missed events cannot know whether one of them was
+            # wanted.
             elif event.kind == "reset" or wanted(event):
                 yield b"id: %s\nevent: %s\ndata: %s\n\n" % (
                     events.token(event).encode(),
@@ -69,5 +76,6 @@ def event_stream(
                 if ends is not None and ends(event):
                     return
 
+    # nginx would hold events back until its buffer is full.
     headers = {"Cache-Control": "no-store", "X-Accel-Buffering": "no"}
     return StreamingResponse(lines(), media_type="text/event-stream", headers=headers)

@@ -19,8 +19,9 @@ from residuum.service.views.signal_view import read_identified
 
 router = APIRouter(prefix="/models", tags=["models"], route_class=StrictRoute, responses=PROBLEMS)
 
+# The lowest frequency, as a share of the Nyquist frequency. A response of m samples changes over
+# frequencies of 1/(m Ts): below this share that of some hundred coefficients is its static gain.
 _LOWEST = 1e-3
-"""The lowest frequency, as a share of the Nyquist frequency."""
 
 
 class FrequencyResponseAnswer(BaseModel):

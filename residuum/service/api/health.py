@@ -16,6 +16,8 @@ router = APIRouter(tags=["health"])
 @router.get("/health/live")
 async def live() -> Response:
     """The process answers."""
+    # Nothing is asked of the database: a service whose database is away is to wait, not to be
+    # restarted.
     return Json({"status": "live", "version": version("residuum")})
 
 
@@ -28,6 +30,8 @@ def ready(running: Running, request: Request) -> Response:
     windows are stored. Who has no key where keys are needed is told only how many machines are in
     which state.
     """
+    # A write, not a question: a disk that is full or read-only is told by a write alone. At most
+    # one a second, whoever asks.
     running.store.check()
     states = running.pipeline.status()["machines"]
     visible = {name: state for name, state in states.items() if caller_of(request).may_see(name)}
@@ -40,6 +44,7 @@ def ready(running: Running, request: Request) -> Response:
         "states": counted(visible),
     }
     # The gate lets anybody ask here.
+    # Names of machines, and what they lack, are for holders of a key.
     stranger = running.keys.needed and not hasattr(request.state, "caller")
     return Json(answer if stranger else {**answer, "machines": named, "storage": dict(storing)})
 

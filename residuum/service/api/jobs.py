@@ -25,6 +25,7 @@ def list_jobs(running: Running) -> Response:
     """Jobs of this run of the service, newest first, without their results."""
     return Json(
         {
+            # Results may be megabytes each.
             "items": [job.to_json(with_result=False) for job in running.jobs.list()],
             "next_cursor": None,
         }

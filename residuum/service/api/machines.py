@@ -51,10 +51,11 @@ from residuum.service.work.worker_pool import parts_of
 router = APIRouter(tags=["machines"], route_class=StrictRoute, responses=PROBLEMS)
 
 MachineName = Annotated[str, Path(alias="asset", description="Name of the machine.", pattern=NAME)]
+# Recorded windows that are listed, the newest. As many as the list of windows to leave out of a
+# training may name.
 _WINDOWS_SHOWN = 500
-"""Recorded windows that are listed, the newest."""
+# Windows that become records at once: as many as an analysis takes.
 _MOST_RECORDS = 64
-"""Windows that become records at once: as many as an analysis takes."""
 _OF_TABLE = ({"kind": ["table"]},)
 
 
@@ -68,6 +69,8 @@ class BusText(BaseModel, extra="forbid"):
         ),
         json_schema_extra={"x-of-source": dict(OF_SOURCE)},
     )
+    # No `/` and no dot at the begin: a map of this name becomes a file for the sources that read
+    # it.
     name: str = Field(
         "bus",
         min_length=1,
@@ -130,6 +133,7 @@ async def read_bus_description(running: Running, asked: BusText) -> Response:
     machine with.
     """
     given = (asked.kind, asked.name, asked.text, asked.sample_time, asked.unit_id)
+    # With few others: a register map of megabytes takes seconds.
     return await running.reading(lambda: Json(bus_description(*given).to_json()))
 
 
@@ -158,6 +162,8 @@ async def put_machine(
     running.pipeline.refuse_fixed(machine)
     watched = running.pipeline.status()["machines"]
     old_sources = running.pipeline.machine(machine).sources if machine in watched else []
+    # The page shows `***` for a password and sends it back so: only for the same address does it
+    # stand for the one that was given, or a changed host would be told it.
     asked = asked.model_copy(update={"sources": with_kept_passwords(asked.sources, old_sources)})
     try:
         settings = asked.settings(machine)
@@ -173,6 +179,7 @@ async def put_machine(
     names = {source.map for source in settings.sources}
     # Maps of an earlier setting that no source names any more are not kept.
     maps = {name: text for name, text in {**before, **asked.maps}.items() if name in names}
+    # Sources read maps as files; what is kept are their texts, which a restart writes anew.
     with_files = await run_in_threadpool(with_map_files, settings, maps, running.settings.data)
     await running.pipeline.put_machine(with_files)
     # Kept when it is watched: what the pipeline refuses is not tried again at the next start.
@@ -184,6 +191,8 @@ async def put_machine(
 async def remove_machine(request: Request, running: Running, machine: MachineName) -> Response:
     """Watch a machine no more; its windows and findings stay."""
     await running.pipeline.remove_machine(machine)
+    # Ended first, forgotten afterwards: a crash between the two brings the machine back, and loses
+    # nothing.
     await run_in_threadpool(forget_machine, running.store, machine, caller_of(request).name)
     return Response(status_code=204)
 
@@ -208,6 +217,7 @@ def guess_channels(
     """
     read = model_of(*stored_model(running.store, model, version))
     bus = running.pipeline.units(machine)
+    # What the settings say goes over a guess.
     guesses = guessed_channels(read, bus) | running.pipeline.machine(machine).channels
     signals = [
         {"name": name, "unit": unit, "role": role, "required": needed, "channel": guesses.get(name)}
@@ -285,6 +295,7 @@ def train(request: Request, running: Running, machine: MachineName, asked: Train
             running.store.add_model_version(
                 f"{machine}.model", "physical", text, f"{model[0]}: {note}", by
             )
+        # The baseline itself is a file and no JSON.
         summary = {name: value for name, value in outcome.items() if name != "baseline"}
         return {
             **summary,
@@ -292,6 +303,8 @@ def train(request: Request, running: Running, machine: MachineName, asked: Train
             "stored": {"model": baseline, "version": version.number},
         }
 
+    # The baseline at work is asked first: windows in which a fault is probable must not become the
+    # healthy ones.
     present = (
         running.store.model_content(baseline) if has_baseline(running.store, baseline) else None
     )
@@ -310,6 +323,7 @@ def _described(running: Services, machine: str) -> dict[str, Any]:
     settings = running.pipeline.machine(machine)
     plain = settings.model_dump(mode="json", exclude={"asset", "alarms"})
     for source in plain["sources"]:
+        # The name alone: where it lies on the server is nobody's business.
         source["map"] = source["map"].rsplit("/", 1)[-1]
         source["channel"] = with_hidden_password(source["channel"])
     return {

@@ -45,8 +45,8 @@ DERIVED_KEPT = 100
 """Of the records that comparisons made the newest are kept; a comparison makes them again at any
 time.
 """
+# Newest records among which those of comparisons are looked for. A page of a list.
 _LOOKED_AT = 500
-"""Newest records among which those of comparisons are looked for."""
 
 
 class Effect(BaseModel, extra="forbid"):
@@ -106,6 +106,7 @@ def get_description(running: Running, model: ModelName, version: Version = None)
     from.
     """
     text = _text(running, model, version)
+    # A stored text as it was typed, with its comments.
     file = write_model(model_of(model, None)) if text is None else text.decode()
     return Json(
         {
@@ -126,10 +127,13 @@ def change_parameters(
     version.
     """
     changes = {
-        name: change.model_dump(exclude_unset=True) for name, change in asked.parameters.items()
+        # Unset is not null: a field that is left out stays, null takes a bound away.
+        name: change.model_dump(exclude_unset=True)
+        for name, change in asked.parameters.items()
     }
     text = with_parameters(model_of(model, _text(running, model, asked.version)), changes)
     by = caller_of(request).name
+    # As long as a note may be.
     note = f"changed by hand: {', '.join(changes)}"[:2000]
     version = running.store.add_model_version(asked.save_as, "physical", text.encode(), note, by)
     return Json(
@@ -206,6 +210,8 @@ def _records(running: Services, numbers: Sequence[int]) -> list[RecordParts]:
 
 def _stored(running: Services, model: str, parts: RecordParts) -> int:
     record = Record(*parts)
+    # Marked by a note, by which they are known when they are let go; an uploaded record has none,
+    # and stays.
     signals = Record(
         record.channels, record.units, record.sample_time, record.t0, (DERIVED,), record.source
     )
@@ -219,6 +225,7 @@ def _let_go(running: Services, needed: set[int]) -> None:
         for record in running.store.records(limit=_LOOKED_AT).items
         if DERIVED in record.notes
     ]
+    # Lists begin with the newest.
     for number in derived[DERIVED_KEPT:]:
         if number not in needed:
             with suppress(NotFound):  # another comparison was faster

@@ -98,6 +98,7 @@ def get_version(running: Running, model: ModelName, number: VersionNumber) -> Re
     """The file of one version, as it was stored."""
     media, ending = MODEL_KINDS[_versions(running, model)[0].kind]
     content = running.store.model_content(model, number)
+    # Saved, never shown: a file of a user's must not be a page of this origin.
     headers = {"Content-Disposition": f'attachment; filename="{model}-{number}{ending}"'}
     return in_pieces(content, media, headers)
 

@@ -36,8 +36,8 @@ NewModelName = Annotated[str, StringConstraints(pattern=NAME), AfterValidator(_u
 none.
 """
 
+# The largest number that JavaScript, and with it the page, tells from its neighbours.
 _LARGEST_ID = 2**53 - 1
-"""The largest number that JavaScript, and with it the page, tells from its neighbours."""
 
 AssetName = Annotated[str, Path(description="Name of the asset.", pattern=NAME)]
 ModelName = Annotated[str, Path(description="Name of the model.", pattern=NAME)]
@@ -54,6 +54,8 @@ Begin = Annotated[
 End = Annotated[
     str | None, Query(alias="to", max_length=40, description="ISO 8601; not part of the span.")
 ]
+# Bounded by number here, and by bytes where rows are read: 500 findings with much evidence took 595
+# MiB.
 Limit = Annotated[int, Query(description="Most items on the page.", ge=1, le=500)]
 SpanBegin = Annotated[
     str, Query(alias="from", max_length=40, description="ISO 8601; without a zone: UTC.")

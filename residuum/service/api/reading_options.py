@@ -40,8 +40,9 @@ READING_OPTIONS = _OF_THE_FILE | {
 """Key and meaning of what may be said of a body that is a file; several of `unit`, `map` and
 `missing` are taken.
 """
+# How the kinds of bodies are read that say their units themselves. Refusals name a way on that is
+# one there: a key that such a body does not take is none.
 _SAID_ITSELF = {"application/json": in_json, "application/octet-stream": of_array}
-"""How the kinds of bodies are read that say their units themselves."""
 _TRUE, _FALSE = ("true", "1", "yes", "on"), ("false", "0", "no", "off")
 
 
@@ -65,6 +66,7 @@ def reading_of(query: QueryParams) -> Reading:
     }
     if "missing" in query:
         options["missing"] = query.getlist("missing")
+    # Commas part names; a blank is part of one, as in `Motor voltage [V]`.
     if "names" in query:
         options["names"] = query["names"].split(",")
     if "time" in query:
@@ -80,8 +82,11 @@ def reading(plain: Mapping[str, Any], maps: Sequence[str], units: Sequence[str])
     """
     columns = _pairs("map", maps)
     options = dict(plain)
+    # `time` is no signal: its column is named among the others and taken out.
     if "time" in columns:
         if options.get("time_column") is not None:
+            # Two ways to say one thing: that one of them goes over the other would be found out by
+            # nobody.
             raise BadBody("query: time=COLUMN and map=time=COLUMN are one option; give one of them")
         options["time_column"] = columns.pop("time")
     unit_of_column = {columns.get(name, name): unit for name, unit in _pairs("unit", units).items()}

@@ -140,6 +140,7 @@ async def add_record(
         "duplicates": duplicates,
         "reordered": reordered,
     }
+    # From here on, what is refused names keys of this route's query as the way on.
     with remedies_in_query():
         how = reading(
             options | {"sample_time": sample_time, "missing": missing or []}, map or (), unit or ()
@@ -150,6 +151,7 @@ async def add_record(
             if dbc is None
             else await run_in_threadpool(known_dbc, running.settings, running.store, dbc)
         )
+        # A stranger's file: in a process with limits of memory and time, and few side by side.
         record = await running.reading(_read, filename, content, running.settings, how.options, bus)
         record = how.renamed(record)
     number = await run_in_threadpool(running.store.add_record, filename, record)
@@ -215,6 +217,7 @@ def _read(
     bus: Path | None,
 ) -> Record:
     """The record of an uploaded file, whose name on disk is ours (its ending one of the known)."""
+    # By the name's ending, which picks the reader; the bytes decide whether it reads them.
     endings = [*READERS, *OLDER, *LOGGERS, *CAN_LOGS]
     ending = next((known for known in endings if filename.lower().endswith(known)), None)
     if ending is None:

@@ -28,13 +28,13 @@ if TYPE_CHECKING:
     from residuum.service.services import Services
     from residuum.service.work.jobs import Job
 
+# Bytes, and lists and objects, of a JSON body that asks for something: read on the event loop in
+# some 20 ms at worst.
 _LARGEST, _MOST_NESTED = 2 * 2**20, 50_000
-"""Bytes, and lists and objects, of a JSON body that asks for something: read on the event loop in
-some 20 ms at worst.
-"""
+# Bytes that are sent at once.
 _PIECE = 256 * 2**10
-"""Bytes that are sent at once."""
 _CLOSE = {"Connection": "close"}  # the rest of the body is not waited for
+# UTC as `Z` (RFC 3339); arrays are written without a list made of them first.
 _OPTIONS = orjson.OPT_SERIALIZE_NUMPY | orjson.OPT_NON_STR_KEYS | orjson.OPT_UTC_Z
 
 
@@ -87,6 +87,8 @@ async def page_answer(running: Services, page: Callable[..., Page[T]], *argument
 
 def accepted(job: Job) -> Json:
     """The answer to a request that became a job."""
+    # 202 with the address to look at (RFC 9110, 15.3.3): analyses take seconds to minutes, longer
+    # than clients and proxies wait.
     return Json(job.to_json(with_result=False), 202, {"Location": f"/api/v1/jobs/{job.id}"})
 
 
@@ -121,6 +123,7 @@ async def file_answer(
 
 
 def _written(place: Path, name: str, write: Callable[[Path], object], media_type: str) -> Response:
+    # On the data's disk: the folder of temporary files is often in memory, and small.
     place.mkdir(parents=True, exist_ok=True)
     folder = tempfile.TemporaryDirectory(dir=place)
     path = Path(folder.name) / name
@@ -144,6 +147,8 @@ def in_pieces(content: bytes, media_type: str, headers: Mapping[str, str]) -> Re
         for begin in range(0, len(content), _PIECE):
             yield content[begin : begin + _PIECE]
 
+    # With its length, which a streamed answer has not by itself: a client sees an answer that was
+    # cut off.
     return StreamingResponse(
         pieces(), media_type=media_type, headers={**headers, "Content-Length": str(len(content))}
     )
@@ -176,6 +181,8 @@ class _StrictRequest(Request):
                 413, f"body: more than {_MOST_NESTED} lists and objects; no more are read here"
             )
         try:
+            # RFC 8259, strictly: Python's own reader takes NaN and Infinity, which are then refused
+            # nowhere.
             return orjson.loads(body)
         except orjson.JSONDecodeError as error:
             raise JSONDecodeError(error.msg, body.decode(errors="replace"), error.pos) from None

@@ -23,8 +23,9 @@ router = APIRouter(
     prefix="/assets/{asset}", tags=["results"], route_class=StrictRoute, responses=PROBLEMS
 )
 
+# Of the signals in one file of windows. The file is written to the data's disk before it is sent;
+# over the command line there is no such limit.
 _MOST_BYTES = 2**30
-"""Of the signals in one file of windows."""
 
 
 @router.get("/findings.parquet", response_class=Response)
@@ -66,10 +67,12 @@ async def get_report(
 ) -> Response:
     """What happened at a machine in a month, as one HTML page that opens offline."""
     sites = caller_of(request).sites
+    # One at a time: a month's findings are read for it.
     page = await running.writing(
         lambda: report_page(month_report(running.store, asset, month, sites))
     )
     headers = {
+        # The page's own policy, stricter than the service's: it has no scripts.
         "Content-Security-Policy": POLICY,
         "Content-Disposition": f'inline; filename="{asset}-{month}.html"',
     }

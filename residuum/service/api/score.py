@@ -28,11 +28,12 @@ from residuum.service.api.signal_body import (
 from residuum.service.services import Services
 from residuum.service.store import NotFound
 
+# Samples up to which a thread costs more than the scoring it would take off the event loop.
 _SCORED_AT_ONCE = 8192
-"""Samples up to which a thread costs more than the scoring it would take off the event loop."""
 
+# Bytes of a query up to which it is remembered as it was parsed. Long ones are seldom sent twice,
+# and would fill the memory.
 _LONGEST_KEPT = 1000
-"""Bytes of a query up to which it is remembered as it was parsed."""
 
 
 _DIAGNOSER = {
@@ -96,6 +97,7 @@ async def score_record(request: Request) -> Response:
     """
     services: Services = request.app.state.services
     number = request.path_params["record"]
+    # By hand, as the route declares no parameters; 404 as for any number that no record has.
     if not number.isdecimal() or not 0 < int(number) < 2**53:
         raise NotFound(f"record {number[:40]!r}: there is none of this number")
     judge = await _judge(services, request.path_params["diagnoser"], request.query_params)
@@ -105,6 +107,7 @@ async def score_record(request: Request) -> Response:
     return finding_json(finding)
 
 
+# Some hundred clients, each with its own query.
 @lru_cache(maxsize=256)
 def _query(query_string: bytes) -> QueryParams:
     return QueryParams(query_string)

@@ -47,6 +47,7 @@ def _shown(name: str, value: Any) -> Any:
     """
     if name == "machines":
         return [machine["asset"] for machine in value]
+    # The paths of many webhooks are their secret.
     if name == "webhooks":
         return [f"{urlsplit(address).scheme}://{urlsplit(address).hostname}/…" for address in value]
     return (

@@ -34,15 +34,17 @@ if TYPE_CHECKING:
 
 READ_ON_THE_LOOP = 64 * 2**10
 """Bytes up to which a body is read on the event loop: a few milliseconds."""
+# Bytes from which JSON and CSV are read in a process of their own: their parsers hold the
+# interpreter for some 20 ms then.
 _APART = 512 * 2**10
-"""Bytes from which JSON and CSV are read in a process of their own: their parsers hold the
-interpreter for some 20 ms then.
-"""
+# Bytes to which an NPZ may unpack in a thread of the service; beyond, a bomb meets a process with
+# limits.
 _APART_UNPACKED = 8 * 2**20
-"""Bytes to which an NPZ may unpack in a thread of the service."""
 _PACKED = "application/zip"
 _ARRAY = "application/octet-stream"
 _KINDS = ("application/json", _ARRAY, "text/csv", _PACKED)
+# Keys that say of a body that it is a CAN log, whatever its content type: logs have none of their
+# own.
 _OF_LOGS = {"dbc", "filename"}
 _OF_ARRAYS = ("sampling_rate", "t0", "channel")
 _ENDINGS = {"text/csv": ".csv", _PACKED: ".npz"}
@@ -157,6 +159,8 @@ async def record_of(request: Request, expected: Sequence[Channel] = ()) -> Recor
     kind = kind_of(request)
     if _tells_log(request.scope["query_string"]):
         return await _can_log(request)
+    # 415 (RFC 9110, 15.5.16) for forms, compressed bodies and what is not said; nothing is guessed
+    # from the bytes.
     if kind not in _KINDS:
         raise UnsupportedBody(f"Content-Type {kind[:60]!r}: is not one of {', '.join(_KINDS)}")
     reading = _reading(request.scope["query_string"], kind)
@@ -228,6 +232,8 @@ async def _read(
 def _reading(query_string: bytes, kind: str) -> Reading:
     """What a query says of reading a body of this kind."""
     query = QueryParams(query_string)
+    # JSON and arrays say units and times themselves: an option for files would be passed over
+    # there.
     if kind not in _ENDINGS:
         only_of_files(query, kind)
     given = [key for key in _OF_ARRAYS if key in query]
@@ -272,6 +278,7 @@ def _from_npy(body: bytes, query: bytes, expected: Sequence[Channel]) -> Record:
             f"body: the array has {rows.shape[0]} rows, and these channels are named: {shown};"
             " shape is (channels, n)"
         )
+    # The later row would replace the earlier one without a word.
     if len({name for name, _ in names}) != len(names):
         raise BadBody("query: a channel is named twice")
     channels = {name: row for (name, _), row in zip(names, rows, strict=True)}

@@ -36,6 +36,7 @@ def add_simulated_record(running: Running, asked: Simulation) -> Response:
     """
 
     def keep(outcome: Mapping[str, Any]) -> Mapping[str, Any]:
+        # Without its truth: what is hidden in it is to be found.
         number = running.store.add_record(f"simulated {asked.machine}", Record(*outcome["record"]))
         return running.store.record(number).to_json()
 

@@ -72,6 +72,7 @@ def _status(running: Services, caller: Caller) -> dict[str, Any]:
         "sources": {
             name: state
             for name, state in status["sources"].items()
+            # A source without a machine is nobody's site: keys of some sites do not see it.
             if caller.may_see(str(state.get("machine", "")))
         },
     }
@@ -86,5 +87,7 @@ def list_faults(running: Running, machine: Machine) -> Response:
 @router.post("/demo/machines/{machine}/fault")
 async def switch_fault(running: Running, machine: Machine, switch: FaultSwitch) -> Response:
     """Switch a fault of a demo machine, over its own bus."""
+    # By the machine's own bus, as a fault of a real one comes: nothing is told to the diagnosers
+    # beside it.
     await running.pipeline.switch_fault(machine, switch.fault, switch.size)
     return Json(running.pipeline.faults(machine))

@@ -39,10 +39,10 @@ Window = Annotated[
 ChannelName = Annotated[
     str | None, Query(description="Channel; default: the first.", max_length=200)
 ]
+# Rows of a table of findings; the newest are kept.
 _MOST_FINDINGS = 5000
-"""Rows of a table of findings; the newest are kept."""
+# Rows of all indicators together, and rows that each may have however many there are.
 _MOST_ROWS, _FEWEST = 50_000, 10
-"""Rows of all indicators together, and rows that each may have however many there are."""
 
 
 @router.get("/findings")
@@ -50,6 +50,7 @@ def get_findings_table(
     running: Running, asset: AssetName, begin: SpanBegin, end: SpanEnd
 ) -> Response:
     """The newest 5000 findings of a span of time: when, window, verdict, class, reason."""
+    # A deque of this length: a year's findings pass through, and are never in memory together.
     newest = deque(
         (_finding_row(stored) for stored in findings_in(running.store, asset, span_of(begin, end))),
         _MOST_FINDINGS,
@@ -67,6 +68,8 @@ def get_indicators_table(
     followed: dict[str, Followed] = {}
     for stored in findings_in(running.store, asset, span_of(begin, end)):
         for name, value in stored.finding.indicators.items():
+            # Numbers alone: a finding's evidence may be long, and goes with the page that it came
+            # in.
             curve = followed.setdefault(name, Followed(stored.finding.units.get(name, "")))
             curve.append(stored.at, value, None, stored.finding.thresholds.get(name))
     share = min(points, max(_FEWEST, _MOST_ROWS // max(1, len(followed))))
@@ -83,6 +86,7 @@ def get_indicators_table(
             for k in _kept(curve.value, share)
         ]
     )
+    # Some megabytes: sent at once they would hold up everybody.
     return in_pieces(bytes(answer.body), "application/json", {})
 
 

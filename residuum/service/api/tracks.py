@@ -29,8 +29,8 @@ router = APIRouter(
 )
 
 Name = Annotated[str, Field(min_length=1, max_length=200)]
+# Healthy windows that a picture is held beside. Each is simulated and smoothed on its own.
 _HEALTHY = 3
-"""Healthy windows that a picture is held beside."""
 
 
 class Limits(BaseModel, extra="forbid"):
@@ -102,6 +102,7 @@ def _healthy(running: Services, asset: str, but: int) -> list[Any]:
     """The newest healthy windows, or recorded ones where none has been judged; Conflict when there
     are none.
     """
+    # More than are shown: of some the signal was let go.
     judged = [f.window for f in running.store.findings(asset, limit=50, verdict="healthy").items]
     healthy: list[Any] = []
     # The newest first; the window itself is not held beside itself.

@@ -71,6 +71,7 @@ async def add_window(
     stores nothing twice and gets the first answer. The diagnoser is the asset's, with the baseline
     of the asset's name where there is one.
     """
+    # Before the body is read: a window that nobody could judge is refused without it.
     judge = await run_in_threadpool(_judge, running, asset, diagnoser)
     deciding: str | None = method
     if deciding is None:
@@ -107,6 +108,8 @@ async def get_record(running: Running, asset: AssetName, window: WindowId) -> Re
     def write(path: Path) -> None:
         write_npz_in_pieces(path, record, record.dtypes, record.pieces)
 
+    # Written to disk and sent from there: a long window would cost its size in memory for as long
+    # as a slow client takes it.
     return await file_answer(running, f"{asset}-{window}.npz", write, "application/zip")
 
 
@@ -202,6 +205,7 @@ def _judge(running: Services, asset: str, diagnoser: str | None) -> Diagnoser:
     try:
         return running.judges.trained(name, newest_baseline(running.store, asset).model)
     except NotFound:
+        # Absolute indicators alone are judged then, as `POST /score` does without a baseline.
         return running.judges.untrained(name)
 
 
@@ -209,6 +213,7 @@ async def _digest(query: bytes, body: bytes) -> str:
     def digest() -> str:
         return hashlib.sha256(b"\n".join((query, body))).hexdigest()
 
+    # SHA-256 of 64 MiB takes longer than anybody's request may be held up.
     return digest() if len(body) <= READ_ON_THE_LOOP else await run_in_threadpool(digest)
 
 

@@ -8,11 +8,11 @@ import shlex
 
 from residuum.identification.errors import as_texts
 
+# Fields that no command but `inspect` takes: it writes them into the mapping that all others read
+# by.
 _OF_INSPECT = ("decimal", "time", "missing", "names")
+# How a logger's file is read: one command, or a person, writes it into a mapping for all others.
 _OF_MAPPINGS = ("duplicates", "reordered")
-"""How a logger's file is read: one command, or a person, writes it into a mapping for all
-others.
-"""
 
 
 def as_option(field: str, value: object = None) -> str:
@@ -38,6 +38,8 @@ def as_option(field: str, value: object = None) -> str:
     return words
 
 
+# Names of modules, not modules: each is loaded when it is called, since SymPy alone costs a second
+# (docs/decisions/0004).
 COMMANDS: dict[str, tuple[str, str]] = {
     "serve": ("serve", "Run the service (with --demo: with its simulated machines)."),
     "keys": ("keys", "Make the API keys of a first start, and show them once."),

@@ -16,8 +16,9 @@ from residuum.service.commands import as_option
 from residuum.service.commands.options_of import expanded, parameter_of
 from residuum.service.commands.report import progress
 
+# Names that have no commas: written with commas between them, too.
 _NAMES: Any = tuple[str, ...]
-"""Names that have no commas: written with commas between them, too."""
+# What a field may take → what stands for it in the help; the first that it takes is shown.
 _METAVARS: dict[Any, str | None] = {
     bool: None,
     list[str]: "NAME",
@@ -30,14 +31,13 @@ _METAVARS: dict[Any, str | None] = {
     int: "INTEGER",
     float: "NUMBER",
 }
-"""What a field may take → what stands for it in the help; the first that it takes is shown."""
+# What is written several times, or as two words.
 _FORMS: dict[Any, Any] = {
     _NAMES: list[str],
     list: list[str],
     dict: list[str],
     tuple: tuple[str, str],
 }
-"""What is written several times, or as two words."""
 
 
 def asks(without: Container[str] = ()) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
@@ -80,6 +80,8 @@ def _read(question: type[Question], name: str, value: Any) -> Any:
     """A value as the question reads it: of texts with commas a list, of `NAME=VALUE` or
     `NAME=LOW:HIGH` a mapping.
     """
+    # A field that has a written form of its own (`ID[:SIZE]`) is parted by its question, for every
+    # door.
     if written(question.model_fields[name]):
         return value
     taken = _taken(question, name)
@@ -93,6 +95,7 @@ def _read(question: type[Question], name: str, value: Any) -> Any:
 
 def _mapping(texts: Iterable[str], name: str, form: str) -> dict[str, str | list[str]]:
     """Texts of a form, of which the first word is the key, as a mapping."""
+    # The form that the help shows is the one that is read: they cannot come apart.
     pattern = re.sub("[A-Z]+", "(.+?)", form)
     mapping: dict[str, str | list[str]] = {}
     for text in texts:
@@ -119,11 +122,13 @@ def _option(question: type[Question], name: str) -> inspect.Parameter:
     )
     form: Any = _FORMS.get(taken, _FORMS.get(get_origin(taken), str))
     if taken is bool:
+        # A flag that is on by default can only be taken back, by `--no-…`.
         option, default, form = (
             option if not field.default else f"{option}/--no-{option[2:]}",
             field.default,
             bool,
         )
+    # Rich takes brackets for markup: units such as [s] were missing in the help.
     text = help_of(field).replace("[", "\\[") + (
         " Repeat it for several." if form == list[str] else ""
     )

@@ -39,6 +39,7 @@ def backup(
     """
     settings = load_settings(settings_file, data=data, database=database)
     source = sqlite_file(settings.database_url)
+    # SQLite would make an empty one, whose backup would be whole and hold nothing.
     if source is not None and not source.is_file():
         raise BadInput(f"database {source}: is not there; nothing to back up")
     rows = Database(settings.database_url)
@@ -60,6 +61,8 @@ def _files_of(settings: Settings) -> dict[str, bytes]:
     named = os.environ.get(SETTINGS_FILE)
     if named is None:
         return {}
+    # The settings name maps and models by path: without them a restored service could not read its
+    # machines.
     wanted = [Path(named)]
     for machine in settings.machines:
         wanted += [source.map_file for source in machine.sources]
@@ -68,6 +71,8 @@ def _files_of(settings: Settings) -> dict[str, bytes]:
             for model in (machine.model, machine.second and machine.second.model)
             if model
         ]
+    # Numbered: two files of one name from two folders must not replace each other. A file that
+    # several machines name is kept once.
     places = {
         f"{number:03}-{_plain(place.name)}": place
         for number, place in enumerate(dict.fromkeys(wanted))
@@ -80,6 +85,8 @@ def _files_of(settings: Settings) -> dict[str, bytes]:
 
 
 def _plain(name: str) -> str:
+    # The names that a restore lets pass, cut so that with the number they stay within its 200
+    # characters.
     return re.sub(r"[^A-Za-z0-9._-]", "_", name)[:150]
 
 

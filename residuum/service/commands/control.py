@@ -80,6 +80,7 @@ def design(
             write_whole(out, json.dumps(several, indent=1))
             return report(several, multivariable_text(several), as_json=as_json)
         controller = control.design(identified, joined=joined, **asked.model_dump())
+    # An answer, not a fault: printed whole with what was asked, and status 1 as every "no" has.
     except Infeasible as no:
         described = {
             "aim": asked.aim,
@@ -92,6 +93,7 @@ def design(
         raise typer.Exit(ANSWER_IS_NO) from None
     result = controller.to_dict() | {"file": str(out)}
     if export is not None:
+        # Files last: where the design fails, none is there that could be taken for its result.
         write_whole(export[1], LANGUAGES[export[0]](controller.difference_equation()))
         result["exported"] = str(export[1])
     write_whole(out, json.dumps(result, indent=1))

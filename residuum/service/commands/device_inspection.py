@@ -52,6 +52,8 @@ def _lines(reading: ChannelReading) -> list[str]:
         f"  {reading.stream}.{reading.channel}, {reading.function} {reading.address}: {words} ="
         f" {value}{remark}"
     ]
+    # A manual seldom says the order of words: each is shown, and the one whose value is plausible
+    # marked.
     if reading.orders:
         marked = (
             f"{name} {_number(number)}{' *' * (name == reading.plausible)}"

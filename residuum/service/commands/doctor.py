@@ -51,14 +51,14 @@ from residuum.service.window_queue.set_aside import FOLDER, SetAside
 app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
 
 _MIB = 2**20
+# Free disk [bytes] that rows, logs and the database's journal should find beyond the signals still
+# to come.
 _SPARE = 512 * _MIB
-"""Free disk [bytes] that rows, logs and the database's journal should find beyond the signals still
-to come.
-"""
+# How long a device may take to accept a connection [s]: devices are asked one after the other, and
+# the report must come also where several are away.
 _PATIENCE = 3.0
-"""How long a device may take to accept a connection [s]."""
+# Of an address that says none: the port registered for OPC UA.
 _OPCUA_PORT = 4840
-"""Of an address that says none: the port registered for OPC UA."""
 
 
 class Wrong(Exception):
@@ -102,9 +102,12 @@ def doctor(
     status 1 when one is wrong.
     """
     settings = load_settings(settings_file, data=data, database=database)
+    # Before the checks, which then tell what is left.
     if sweep:
         _sweep(settings)
     checks = [
+        # The database first: what rows, trail and blocks are worth hangs on it. Each check opens it
+        # anew, so that one which fails leaves nothing open to the others.
         _check("database", lambda: _database(settings)),
         _check("audit trail", lambda: _audit(settings)),
         _check("rows", lambda: _rows(settings)),
@@ -188,6 +191,7 @@ def _baseline(settings: Settings, machine: MachineSettings) -> tuple[bool, int] 
     start.
     """
     database = _existing(settings)
+    # A doctor changes nothing: a store would migrate the schema under a service of another version.
     if database is None or database.revision() != newest_revision():
         return None
     database.close()
@@ -211,6 +215,8 @@ def _database(settings: Settings) -> str:
                 f"its schema is at revision {revision}, this program needs {newest}; a start of the"
                 " service migrates it"
             )
+        # A file's mode does not tell: it may be on a disk that is read-only, or another holds its
+        # lock.
         with database.write():
             pass  # it can be written
         damage = database.damage()
@@ -277,6 +283,7 @@ def _signal_blocks(settings: Settings, sample: int) -> str | tuple[str, str]:
     finally:
         database.close()
     folder, named = settings.data / "blocks", {block.path for block in references}
+    # Settled ones alone: a service that runs may have a block on disk whose row is still to come.
     unnamed = len(set(Blocks(folder).paths(SETTLED)) - named)
     missing = [block.path for block in references if not (folder / block.path).is_file()]
     if missing:
@@ -331,6 +338,7 @@ def _access(settings: Settings) -> str:
 
 
 def _buses(settings: Settings) -> list[Check]:
+    # Machines may share a bus: it is opened and asked once.
     sources = {
         (source.kind, source.channel, source.host, source.port, source.map): source
         for machine in settings.machines
@@ -352,6 +360,7 @@ def _bus(source: SourceSettings) -> str | tuple[str, str]:
 def _can(source: SourceSettings) -> tuple[str, str]:
     messages = read_dbc(source.map_file)
     layouts = streamed(messages)
+    # Opened and not read: a bus on which nothing is sent at this moment is not wrong.
     open_bus(source.channel).close()
     remarks = [f"{layout.name}: {layout.remark}" for layout in layouts if layout.remark]
     remarks += messages.unusable.values()
@@ -396,6 +405,7 @@ def _modbus(source: SourceSettings) -> str | tuple[str, str]:
     address = f"{source.host}:{source.port}"
     try:
         readings, refusals = read_device(source.host, source.port, registers, _PATIENCE)
+    # A remark and not wrong: the device is there and answers, but not for this unit.
     except TimeoutError as error:
         return (
             f"{address} accepts connections",
@@ -452,6 +462,8 @@ def _let_in(address: BrokerAddress) -> None:
 
 
 def _compiled_code() -> str:
+    # Kept nowhere, every start compiles anew; kept in a folder that others may write, code of
+    # another user would be run (docs/explanation/threat-model.md).
     places = {"loops": "NUMBA_CACHE_DIR", "kernels": "RESIDUUM_CACHE"}
     for name, variable in places.items():
         why = why_not_kept(name, variable)

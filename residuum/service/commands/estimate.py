@@ -40,6 +40,8 @@ def estimate_command(
     check_output_file(out)
     loaded = reading.for_model(records)
     estimation = model_for(model).estimate(loaded, map=reading.signals, **asked.model_dump())
+    # Values that a search left on its way are no model. One at a bound is written, with status 1: a
+    # first model that lacks physics fits so, and the next question begins with it.
     written = asked.anyway or not estimation.unsettled
     if written:
         estimation.model.save(out)

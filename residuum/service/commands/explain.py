@@ -15,6 +15,8 @@ app = typer.Typer(add_completion=False)
 
 
 @app.command(name="explain")
+# The question's catalogue is a text in every door; here it is a file, which must be read before the
+# model that may name its effects.
 @asks(without=("catalogue",))
 @reads()
 def explain_command(
@@ -31,6 +33,7 @@ def explain_command(
     loaded = reading.for_model(records)
     channels = reading.signals
     given = model_for(model)
+    # See `compare`: this process ends with its answer.
     keep_large_arrays()
     explanation = given.explain(loaded, map=channels, progress=tell_progress, **asked.model_dump())
     told_of = drawn(plot, [explanation], f"What {model} lacks")

@@ -27,6 +27,7 @@ def export_command(
     """Write a model, effects included, for another tool: source code, or an FMU (FMI 2.0) with
     sources and a library.
     """
+    # Named here instead of asked of `EXPORTS`: a mistyped target is refused without loading SymPy.
     if to not in _TARGETS:
         raise BadInput(f"--to {to!r}: there is no such target; {known_names(to, _TARGETS)}")
     check_output_file(out)

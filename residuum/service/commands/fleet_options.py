@@ -40,8 +40,9 @@ Scheduler = Annotated[
     typer.Option(metavar="tcp://…", help="Dask scheduler whose workers see the same files."),
 ]
 
+# How often a run tells how far it is. A line every 5 %: of a million records a line each would be
+# the output.
 _STEPS = 20
-"""How often a run tells how far it is."""
 
 
 class FleetRun(NamedTuple):

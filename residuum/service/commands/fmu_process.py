@@ -16,6 +16,7 @@ from residuum.service.cli import names_fmu
 
 INSIDE = "RESIDUUM_FMU_PROCESS"
 """Set in the process that may load an FMU."""
+# The commands that take an FMU for their model, and so would load its library.
 _COMMANDS = ("compare", "explain", "improve", "estimate")
 
 
@@ -40,6 +41,8 @@ def run_apart(arguments: list[str], fmu: str) -> int:
     """
     # Refused here where it cannot run on this platform: nothing of it is loaded for that.
     named(fmu)
+    # Its standard error is ours: progress is seen as it comes, and what a crashing library says,
+    # too.
     done = subprocess.run(
         [sys.executable, "-m", "residuum", *arguments],
         env=os.environ | {INSIDE: "1"},

@@ -39,6 +39,7 @@ def gateway(
             "settings mqtt and machines: a gateway needs a broker to send to and machines to read"
         )
     name = name or socket.gethostname()
+    # The name stands in topics, where `/`, `+` and `#` mean something.
     if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9._-]{0,99}", name):
         raise BadInput(f"--name {name!r}: must be letters, digits, '.', '_' and '-'")
     set_up_logs(settings)
@@ -47,6 +48,7 @@ def gateway(
         MachineLine(machine, partial(partial, sender.handle), lambda _: None)
         for machine in settings.machines
     ]
+    # Before the machines, and ended after them: what they cut until the end is kept in its spool.
     sender.start()
     for line in lines:
         line.start()

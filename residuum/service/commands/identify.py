@@ -33,6 +33,7 @@ def identify(
     if out is not None:
         check_output_file(out)
     check_plot(plot)
+    # Renamed here: the question names inputs and outputs, where a model of balances maps its own.
     loaded = reading.named(records)
     plant = identified(loaded, asked, tell_progress)
     if out is not None:

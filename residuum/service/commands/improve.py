@@ -22,6 +22,7 @@ app = typer.Typer(add_completion=False)
 
 
 @app.command(name="improve")
+# See `explain`: a file here, read before the model.
 @asks(without=("catalogue",))
 @reads()
 def improve_command(
@@ -37,7 +38,9 @@ def improve_command(
     as_json: AsJson = False,
 ) -> None:
     """Add effects to a model, re-estimate it, and show its error on data not used for that."""
+    # First: minutes of search were once lost to a folder that is missing.
     check_output_file(out)
+    # By the file and not by its name: a link to the model would replace it as well.
     if Path(model).exists() and out.exists() and Path(model).samefile(out):
         raise BadInput(
             f"improve: --out {out} is the model itself; write a new file, the previous one is the"
@@ -49,6 +52,8 @@ def improve_command(
     improvement = model_for(model).improve(
         loaded, map=reading.signals, progress=tell_progress, **asked.model_dump()
     )
+    # Where all that is named would make the model worse, no file is written: it would be taken for
+    # an improvement.
     file = str(out) if improvement.found.helps else None
     if file:
         improvement.model.save(out)

@@ -35,10 +35,10 @@ from residuum.service.commands.report import AsJson, report
 # What `inspect` shows of a file, of one shape for every format: guesses, channels, rate, what has
 # no unit, the first rows.
 
+# Samples below which nothing is said of error codes: too few tell what lies far beside.
 _FEWEST = 30
-"""Samples below which nothing is said of error codes: too few tell what lies far beside."""
+# Its number, name and unit, and how many of its samples are missing.
 _Column = tuple[int, str, str, int]
-"""Its number, name and unit, and how many of its samples are missing."""
 
 
 def of_record_file(file: Path, options: ReadOptions = ReadOptions()) -> tuple[dict[str, Any], str]:
@@ -268,6 +268,8 @@ def inspect_command(
     is left out, the first rows. Of a CAN log with its DBC file, or a Modbus device with its
     register map, show what is on the wire and what they make of it.
     """
+    # One option for two things that no file has both of: a device has a register map, a text a
+    # column of times.
     time_column = _time_column(mapped)
     if file.startswith("modbus:") or (mapped is not None and time_column is None):
         report(*_device(file, None if mapped is None else Path(mapped)), as_json=as_json)
@@ -313,6 +315,8 @@ def _says_itself(file: Path) -> bool:
     to write.
     """
     ending = file.suffix.lower()
+    # LabVIEW's and a scope's heads are told from their begin, so that a long file is not read
+    # twice.
     if ending == ".lvm":
         return file.is_file() and has_head(_start(file))
     if ending == ".csv":

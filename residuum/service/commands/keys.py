@@ -46,6 +46,7 @@ def keys(
         message = f"API key of 'engineer', shown this once (the page asks for it):\n\n    {key}\n"
         report({"made": True, "key": key} | files, message, as_json=as_json)
 
+    # Shown once and kept as SHA-256 alone: whoever reads the file later has no key.
     are_new = make_first_keys(folder, show)
     make_broker_user(folder)
     if not are_new:

@@ -53,6 +53,7 @@ def _message(message: LoggedMessage) -> dict[str, Any]:
 
 def _channels(message: LoggedMessage) -> list[dict[str, Any]]:
     layout = message.layout
+    # The first frame beside its bytes: by hand it shows whether start bit and byte order are right.
     _, first = layout.decode(message.frames[:1])
     return [
         {

@@ -91,6 +91,7 @@ def machine(
 async def _live(device: Device, name: str, can: str | None, with_parent: bool) -> None:
     stopped = asyncio.Event()
     loop = asyncio.get_running_loop()
+    # A terminal sends the first, Docker the second; buses are closed by either.
     for number in (signal.SIGINT, signal.SIGTERM):
         loop.add_signal_handler(number, stopped.set)
     # A parent that was killed closes its end of the pipe, whatever else it could not do.

@@ -67,6 +67,7 @@ def _model_lacks(machine: MachineSettings, bus: Mapping[str, str]) -> list[str]:
         model = load_model(machine.model)
     except BadInput as error:
         return [f"model: {error}"]
+    # Guesses are told and not taken: a signal of the same unit may be another one.
     guesses, lacks = guessed_channels(model, bus), []
     output_on_bus = False
     for name, (unit, role, needed) in model_signals(model).items():

@@ -27,6 +27,7 @@ def expanded(
     """A command with these options in the place of the parameter `name`, which is `question_of` of
     what they say.
     """
+    # With extras: typer's options stand in `Annotated`, which is dropped otherwise.
     hints = get_type_hints(function, include_extras=True)
 
     def command(**given: Any) -> Any:
@@ -41,6 +42,8 @@ def expanded(
     }
     own[name] = list(options.values())
     signature = inspect.Signature([part for listed in own.values() for part in listed])
+    # Typer takes a command's name and help from the function: those of this wrapper would say
+    # nothing.
     command.__name__, command.__doc__ = function.__name__, function.__doc__
     # Typer reads the signature for the order, and the annotations for the types.
     command.__signature__ = signature  # type: ignore[attr-defined]

@@ -16,6 +16,7 @@ def check_output_file(file: Path) -> None:
     Traceback (most recent call last):
     residuum.identification.errors.BadInput: /nowhere/model.yaml: folder '/nowhere' does not exist
     """
+    # No folder is made: a mistyped path would be one, with the result where nobody looks for it.
     if not file.parent.is_dir():
         raise BadInput(f"{file}: folder {str(file.parent)!r} does not exist")
     if file.is_dir():

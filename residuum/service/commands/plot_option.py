@@ -31,6 +31,7 @@ def drawn(plot: Path | None, results: Sequence[Result], title: str) -> dict[str,
     """The picture of these answers, written one below the other; what the answer tells of it."""
     if plot is None:
         return {}
+    # One picture for all answers, so that several records are seen on one page.
     panels = [panel for result in results for panel in result.picture().panels]
     write_picture(Picture(panels), plot, title)
     return {"plot": str(plot)}

@@ -93,8 +93,8 @@ DbcFile = Annotated[
     ),
 ]
 
+# What notes tell of the samples themselves: a command says it.
 _OF_SAMPLES = (RESAMPLED, MEASURED_AT, NOT_READ, NO_VALUE)
-"""What notes tell of the samples themselves: a command says it."""
 
 
 def pairs(option: str, texts: Sequence[str] | None) -> dict[str, str]:
@@ -202,6 +202,7 @@ def _read(file: Path, options: ReadOptions, mapping: Path | None, dbc: Path | No
         for note in record.notes:
             progress(f"{file}: {note}")
         return record
+    # A mapping that was named goes over the one beside the file, which every door finds by itself.
     chosen = mapping or mapping_beside(file)
     record = read_mapped(file, options, chosen)
     for note in _notes_to_tell(record, mapped=chosen is not None):

@@ -21,6 +21,8 @@ app = typer.Typer(add_completion=False)
 
 
 @app.command()
+# A line of the results holds the model alone; weight and tests are asked of one model, by
+# `identify`.
 @asks(without=("uncertainty", "check"))
 def reidentify(
     records: Source,

@@ -60,6 +60,7 @@ def replay(
     """
     kind, _, address = to.partition(":")
 
+    # Read only where it is no log and no trace: those are sent as they are.
     def load() -> Record:
         return reading.named([file])[0]
 

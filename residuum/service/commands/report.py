@@ -21,6 +21,8 @@ AsJson = Annotated[
 
 def report(result: Mapping[str, Any], human: str, *, as_json: bool) -> None:
     """Print `result` as one JSON object, or the human text."""
+    # Always one object on one line: programs read standard output whole, so progress and warnings
+    # go to standard error.
     typer.echo(orjson.dumps(to_plain(result)).decode() if as_json else human)
 
 

@@ -40,6 +40,8 @@ def report_command(
     """Write records, and how well a model meets them, as one page that opens offline and can be
     sent.
     """
+    # By the ending alone: a record that cannot be read is then refused as a record, with the way on
+    # that its reader names.
     model, records = (files[0], files[1:]) if _is_model(files[0]) else (None, files)
     if not records:
         raise BadInput(

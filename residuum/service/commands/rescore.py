@@ -71,5 +71,6 @@ def rescore(
     else:
         diagnoser_class(diagnoser)
     source = fleet_source(records, data)
+    # The whole path: workers may run in another folder than the command.
     work = Rescore(diagnoser, None if baseline is None else str(baseline.resolve()), source)
     run_over_fleet(source, work, run, counts=_VERDICTS)

@@ -85,6 +85,8 @@ def _design_several(
 def _own_records(names: Any) -> list[Record]:
     """The records a model was identified from, where they are still readable."""
     files = [Path(name) for name in names if isinstance(name, str) and name]
+    # All or none: noise that is learned from some of a model's records would be told as that of
+    # all.
     if not files or not all(file.is_file() for file in files):
         progress(
             "no healthy record at hand: noise as the model says, no `calibrated` threshold (give"
@@ -108,6 +110,7 @@ def run(
 ) -> None:
     """Run a residual design on a record: is there a fault, since when, of which kind and size?"""
     loaded = reading.named([record])[0]
+    # The design's file says which of both it is; the command need not be told.
     if stored_kind(design) == KIND:
         _only_posterior(asked)
         joint = detect_multivariable(

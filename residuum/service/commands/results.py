@@ -63,6 +63,7 @@ def parquet(
     """
     span = span_of(begin, end)
     with _store(settings_file, data, database) as store:
+        # A mistyped machine is refused before a folder is made for it.
         store.asset(asset)
         out.mkdir(parents=True, exist_ok=True)
         files = {
@@ -112,6 +113,8 @@ def _store(
     source = sqlite_file(settings.database_url)
     if source is not None and not source.is_file():
         raise BadInput(f"database {source}: is not there; nothing was stored yet")
+    # Looked at before a store is opened, which would migrate the schema: a service of another
+    # version may be running on it.
     existing = Database(settings.database_url)
     try:
         existing.refuse_other_revision()

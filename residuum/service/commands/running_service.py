@@ -12,8 +12,10 @@ import typer
 
 from residuum.identification.errors import BadInput
 
+# Seconds in which the service must answer. Longer than a list waits for room in memory (20 s), so
+# that its 503 is told and no timeout.
 _TIMEOUT = 30.0
-"""Seconds in which the service must answer."""
+# From the environment: an option would show the key to everybody who lists processes.
 _KEY = "RESIDUUM_API_KEY"
 
 _URL_HELP = "Address of the running service; RESIDUUM_URL in the environment says it, too."

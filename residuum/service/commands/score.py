@@ -23,6 +23,8 @@ DiagnoserName = Annotated[
 ]
 Baseline = Annotated[Path | None, typer.Option(help="A trained diagnoser, as `train` writes it.")]
 app = typer.Typer(add_completion=False)
+# Of several records the worst finding is the answer, and the exit status goes by it; one that
+# cannot be judged stands before a healthy one, for a fault may be hidden in it.
 _WORST_FIRST = (Verdict.FAULTY, Verdict.NOT_ASSESSABLE, Verdict.HEALTHY)
 
 

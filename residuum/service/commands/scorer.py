@@ -49,7 +49,10 @@ def scorer(
     set_up_logs(settings)
     notifications = Notifications(settings)
     store = DiskStore(settings.data, settings.database_url, notifications.tell, settings.alarm_rule)
+    # Before the first window: what an earlier scorer left untold is told now.
     notifications.start(store.outbox)
+    # One worker: a machine's windows are judged in their order, and more scorers take more
+    # machines.
     pool = WorkerPool(1)
     try:
         consumer = Scorer(settings.broker, int(number), int(many), pool, store, settings.data)
@@ -57,6 +60,7 @@ def scorer(
         until_interrupted(f"Scorer {part} takes windows.")
         consumer.stop()
     finally:
+        # In the order in which they use each other: nobody may write to a store that is closed.
         pool.terminate()
         notifications.stop()
         store.close()

@@ -32,8 +32,9 @@ from residuum.service.work.worker_pool import give_back_large_arrays
 
 app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
 
+# Seconds in which what is under way may end when the service stops. Streams of events are ended
+# before: an open page held every stop for all of it.
 _STOP_WITHIN = 5
-"""Seconds in which what is under way may end when the service stops."""
 
 
 @app.command()
@@ -60,6 +61,8 @@ def serve(
     _check_certificate(settings)
     give_back_large_arrays()
     try:
+        # The data before the port: a second service is refused by the folder that it shares,
+        # whichever port it was given.
         with _owned(settings), _listening(settings.host, settings.port) as sockets:
             ended_by = _run(settings, sockets)
     except (StorageUnavailable, OSError) as error:
@@ -79,6 +82,8 @@ def _run(settings: Settings, sockets: list[socket.socket]) -> list[int]:
     config = uvicorn.Config(
         service,
         log_config=None,
+        # Requests are counted in the metrics, refusals are logged with their key; a line for each
+        # window would hide them.
         access_log=False,
         proxy_headers=False,  # the gate believes those of trusted proxies alone
         # begun and ended below: what fails at the start is then told as every other failure
@@ -86,6 +91,7 @@ def _run(settings: Settings, sockets: list[socket.socket]) -> list[int]:
         http=bounded_connections(settings),  # type: ignore[arg-type]  # TLS, too
         ws="none",  # a connection that turned into one would be bounded no more
         timeout_graceful_shutdown=_STOP_WITHIN,
+        # A head is held in memory until it is whole.
         h11_max_incomplete_event_size=settings.header_limit,
     )
     server = _Server(config, service)
@@ -126,6 +132,7 @@ async def _serve(
 ) -> None:
     async with service.router.lifespan_context(service):
         running = asyncio.create_task(server.serve(sockets))
+        # uvicorn tells its start by a flag alone; a start that failed ends its task.
         while not server.started and not running.done():
             await asyncio.sleep(0.02)
         behind = CompilingBehind()
@@ -134,6 +141,8 @@ async def _serve(
                 settle_memory()
                 sys.stdout.write(_greeting(settings, sockets[0].getsockname()[1]))
                 sys.stdout.flush()
+                # Behind the greeting: a fresh installation once waited a minute for it before it
+                # served.
                 await asyncio.to_thread(behind.start)
             await running
         finally:

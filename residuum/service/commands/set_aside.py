@@ -45,6 +45,7 @@ def set_aside(
                 "--to: takes one message; give its name, as `residuum set-aside` lists them"
             )
         _write(aside.payload(name), to)
+    # After the file was written: a message that is stored leaves the folder.
     outcomes = _sent_again(settings, aside, chosen) if again else {}
     lines = [_line(message, outcomes) for message in chosen]
     answer = {

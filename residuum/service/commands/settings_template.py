@@ -27,6 +27,8 @@ DataFolder = Annotated[
 ]
 
 
+# What most plants set, as comments with their defaults: a reader sees what there is to change, and
+# `residuum doctor` says what is missing.
 _HEAD = """\
 # Settings of Residuum. Start the service with:   residuum serve --settings THIS_FILE
 # What is missing in it says:                     residuum doctor --settings THIS_FILE

@@ -33,6 +33,8 @@ def simulate(
     not.
     """
     check_output_file(out)
+    # The truth is told apart from the record: a file that held it would give every analysis the
+    # answer.
     record, truth = simulated(machine, asked)
     write_record(record, out)
     result = {

@@ -17,8 +17,8 @@ from residuum.service.fieldbus.sparkplug.metric_map import NAME, metric_map_text
 
 app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
 
+# Seconds in which a node's birth must come.
 _TIMEOUT = 10.0
-"""Seconds in which a node's birth must come."""
 
 Devices = dict[str, dict[str, tuple[str, str]]]
 """Device, empty for the node itself → channel → (metric, unit)."""
@@ -54,6 +54,7 @@ def browse(
         )
     except ValueError as error:
         raise BadInput(f"{broker}: {error}") from None
+    # They stand in topics, where `+` and `#` would subscribe to other nodes as well.
     if re.fullmatch(f"{NAME}/{NAME}", node) is None:
         raise BadInput(f"{node}: must be GROUP/NODE, without + and #")
     devices = _numeric_metrics(address, node)

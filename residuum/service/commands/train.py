@@ -52,6 +52,7 @@ def train(
     """Train a diagnoser on records and store it for `score --baseline`."""
     kind = diagnoser_class(diagnoser)
     judge = untrained(kind, **asked.settings)
+    # Before the records are read and learned from: a mistyped folder must not cost the training.
     check_output_file(out)
     names, exemplars = read_labels(labels, records) if labels else (None, None)
     lessons = _Lessons(reading.named(records), names, exemplars)

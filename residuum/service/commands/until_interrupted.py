@@ -13,6 +13,7 @@ def until_interrupted(greeting: str) -> None:
     def end(_number: int, _frame: FrameType | None) -> None:
         over.set()
 
+    # A terminal sends the first, systemd and Docker the second; both mean an end in good order.
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, end)
     sys.stdout.write(f"{greeting}\n")

@@ -31,8 +31,8 @@ from residuum.service.settings import load_settings
 app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
 
 MachineArgument = Annotated[str, typer.Argument(metavar="MACHINE", help="Name of the machine.")]
+# Seconds between two questions for a job's state. A training takes seconds to minutes.
 _PAUSE = 0.5
-"""Seconds between two questions for a job's state."""
 
 
 @app.command()
@@ -66,6 +66,7 @@ def init(
     """Write a commented settings file for one machine. Options that are left out stay in it as
     examples to fill in.
     """
+    # Never over a file: it may hold settings that somebody wrote by hand.
     if out.exists():
         raise BadInput(f"--out {out}: is there already; choose another name or remove it")
     check_output_file(out)
@@ -97,6 +98,8 @@ def make_map(
 ) -> None:
     """Make a register map from a table, as a device's manual or a spreadsheet has it."""
     try:
+        # Spreadsheets put a byte order mark before the first heading, which would then have another
+        # name.
         text = table.read_text(encoding="utf-8-sig")
     except (OSError, UnicodeDecodeError) as error:
         raise BadInput(f"{table}: cannot be read: {error}") from None
@@ -210,6 +213,7 @@ def train(
     on.
     """
     body: dict[str, Any] = {"leave_out": leave_out or [], "fix_undetermined": fix_undetermined}
+    # Left out where it was not said: the service then takes the machine's own.
     body |= {"model": model} if model else {}
     body |= {"second": True} if second else {}
     body |= {"false_alarms_per_day": false_alarms_per_day} if false_alarms_per_day else {}
@@ -255,6 +259,7 @@ def _machine(
         return MachineSettings(
             asset=asset,
             diagnoser="model-based",
+            # Stands in the file to be changed: what a window of this machine is, nobody knows yet.
             window=WindowSettings(cut="sliding", length=10, step=10),
             sources=[_source(kind, where, bus_map)],
         )
@@ -307,4 +312,5 @@ def _alias(bus: str, name: str) -> str:
 
 
 def _quoted(machine: str) -> str:
+    # No `/` is left: a name must not become another route.
     return urllib.parse.quote(machine, safe="")

@@ -47,6 +47,7 @@ class RescoreOwn:
     @property
     def mark(self) -> str:
         """What the results are made by: every machine's diagnoser, baseline and method."""
+        # Without it a run that is resumed after a baseline was accepted would mix findings of both.
         return hashlib.sha256(f"rescore {OWN} {self.judges!r}".encode()).hexdigest()[:16]
 
     def __call__(self, window: str) -> dict[str, Any]:
@@ -56,6 +57,7 @@ class RescoreOwn:
             own = next((judge for judge in self.judges if judge.asset == asset), None)
             if own is None or own.diagnoser is None:
                 raise BadInput(f"asset {asset!r}: has no diagnoser")
+            # Loaded once a process and judge: windows of many machines come to a worker in turn.
             finding = IN_THIS_PROCESS.get(
                 (self.source, own), lambda: _judge(self.source, own)
             ).score(self.source.read(window))

@@ -21,10 +21,10 @@ from residuum.service.storage.rows import paging
 from residuum.service.storage.tables import audit, audit_head
 from residuum.service.store import AuditEntry, Page, StorageUnavailable
 
+# The digest before the first entry.
 _BEGIN = "0" * 64
-"""The digest before the first entry."""
+# Entries that are fetched at once.
 _AT_ONCE = 1000
-"""Entries that are fetched at once."""
 
 
 class BrokenAudit(Exception):

@@ -31,8 +31,8 @@ from residuum.service.storage.rows import block_rows
 # from the code, for a backup may be of an older schema than the code's.
 
 _VERSION_TABLE = "alembic_version"
+# Rows that are inserted, or fetched, at once. Tables may be larger than the memory.
 _AT_ONCE = 500
-"""Rows that are inserted, or fetched, at once."""
 
 
 def _tables_of(connection: Connection) -> list[Table]:
@@ -99,11 +99,13 @@ def _count_on(connection: Connection, table: Table) -> None:
 
 FORMAT = "residuum-backup-1"
 BEGIN, END = "begin.json", "end.json"
+# Names of members become paths at a restore, and a backup may be anybody's file: only names of ours
+# pass, so that none leads out of the folder.
 _BLOCK = re.compile(r"blocks/([0-9]{4}-[0-9]{2}-[0-9]{2}/[0-9a-f]{32}\.block)")
 _ROWS = re.compile(r"rows/([a-z_]{1,60})\.jsonl")
 _SETTINGS = re.compile(r"settings/([A-Za-z0-9][A-Za-z0-9._-]{0,199})")
+# Bytes of a block that are read at once.
 _PIECE = 2**20
-"""Bytes of a block that are read at once."""
 
 
 class BadBackup(BadInput):
@@ -278,6 +280,7 @@ def write_backup(
     unfinished = file.with_name(f"{file.name}.unfinished")
     unfinished.unlink(missing_ok=True)  # what lies there keeps its own mode
     try:
+        # Its owner's alone from the first byte on: it holds signals, and passwords of the settings.
         with open(os.open(unfinished, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "wb") as raw:
             with (
                 database.snapshot() as connection,
@@ -286,6 +289,7 @@ def write_backup(
                 _write_members(archive, database, connection, blocks, settings)
             raw.flush()
             os.fsync(raw.fileno())
+        # Read back before it gets its name: a backup that cannot be restored is found today.
         contents = BackupReader().read(unfinished)
         # The name last: a file of this name is a whole backup.
         os.replace(unfinished, file)

@@ -25,20 +25,21 @@ from residuum.service.storage.durable_folder import make_folder, sync_folder
 from residuum.service.store import ReadInPieces, StorageUnavailable
 
 MAGIC = b"RESIDUUM-BLOCK-2\n"
+# Blocks of before headers had a checksum of their own: these are compared as a whole with that of
+# their row.
 _WITHOUT_CHECKSUM = b"RESIDUUM-BLOCK-1\n"
-"""Blocks of before headers had a checksum of their own: these are compared as a whole with that of
-their row.
-"""
 _BEGIN = len(MAGIC) + 8
+# Bytes of the header's checksum.
 _CRC = 4
-"""Bytes of the header's checksum."""
+# Bytes: a line of the processor's cache.
 _ALIGNMENT = 64
-"""Bytes: a line of the processor's cache."""
+# A quota that is used up is a full disk to whoever sends a window: 507 (RFC 4918, 11.5), not 503.
 _FULL = (errno.ENOSPC, errno.EDQUOT)
+# Bytes of a small window, whose room is tried. Written, not asked for: a file system's free bytes
+# tell nothing of a quota or a read-only mount.
 _PROBE = 64 * 1024
-"""Bytes of a small window, whose room is tried."""
+# Bytes of a long channel that are read at once.
 _PIECE = 2**20
-"""Bytes of a long channel that are read at once."""
 
 
 class BrokenBlock(Exception):
@@ -78,6 +79,7 @@ class Blocks:
         name = f"{uuid.uuid4().hex}.block"
         try:
             folder = self._day_folder(day)
+            # Unbuffered: fsync takes to the disk only what has left the process.
             with open(folder / name, "xb", buffering=0) as file:
                 digest = _write_all(file.fileno(), parts)
                 # The file's bytes, then its name in the folder: a file whose entry is not on disk
@@ -249,6 +251,8 @@ def _parts(record: Record) -> list[bytes | memoryview]:
         "source": record.source,
         "channels": entries,
     }
+    # The header has a checksum of its own: a bit that flipped in it would name other units or other
+    # places of samples, which no channel's checksum sees.
     header = orjson.dumps(described)
     header += b" " * (-(_BEGIN + _CRC + len(header)) % _ALIGNMENT)
     begin = MAGIC + len(header).to_bytes(8, "little")

@@ -36,19 +36,18 @@ from residuum.service.storage.rows.row_checks import seal_rows_of_old
 from residuum.service.store import StorageUnavailable
 
 _MIGRATIONS = Path(__file__).parent / "migrations"
+# How long a writer waits for another process's lock [s].
 _PATIENCE = 10.0
-"""How long a writer waits for another process's lock [s]."""
+# Writers that wait for each other; beyond, who wants to write is told to come again, so that
+# threads are left for readers.
 _MOST_WRITERS = 16
-"""Writers that wait for each other; beyond, who wants to write is told to come again, so that
-threads are left for readers.
-"""
+# Seconds for which a connection of the pool is waited for. No wait had an end once, and a service
+# never recovered from a partition of 60 s.
 _POOL_PATIENCE = 10.0
-"""Seconds for which a connection of the pool is waited for."""
 
+# Bytes of a SQLite file whose structure is looked through in a fraction of a second: 0.2 s of
+# processor time, where its rows take some 4 s.
 _SMALL = 64 * 2**20
-"""Bytes of a SQLite file whose structure is looked through in a fraction of a second: 0.2 s of
-processor time, where its rows take some 4 s.
-"""
 
 
 SILENCE, LONG = 8.0, 600.0
@@ -191,6 +190,8 @@ class Database:
             config.attributes["connection"] = connection
             down = revision == "base" or (revision.startswith("-") and revision[1:].isdecimal())
             (command.downgrade if down else command.upgrade)(config, revision)
+            # A row without a checksum counts as damaged: those of before checksums get theirs here,
+            # once.
             if revision == "head" and current is not None:
                 seal_rows_of_old(connection, current)
 
@@ -260,10 +261,9 @@ def _alembic() -> Config:
     return config
 
 
+# `patience`: seconds for which what this thread asks a server for is waited for; None or none: the
+# usual ones.
 _of_thread = threading.local()
-"""`patience`: seconds for which what this thread asks a server for is waited for; None or none: the
-usual ones.
-"""
 
 
 def _engine(url: URL) -> Engine:
@@ -292,6 +292,8 @@ def _sqlite_engine(url: URL) -> Engine:
     @event.listens_for(engine, "connect")
     def _set_up(connection: Any, _record: Any) -> None:
         connection.isolation_level = None  # transactions are begun by us, below
+        # WAL, so that readers go on beside a writer; FULL, since with WAL a commit under NORMAL may
+        # be rolled back by a power cut; and SQLite heeds foreign keys only where it is asked to.
         for pragma in ("journal_mode=WAL", "synchronous=FULL", "foreign_keys=ON"):
             connection.execute(f"PRAGMA {pragma}")
         if not opened and file is not None:
@@ -321,6 +323,8 @@ def _server_engine(url: URL) -> Engine:
     """An engine for a server that may go away: what is asked of it ends in time, and the next asks
     over a new connection.
     """
+    # Asked before use: a connection of the pool may have been lost with a server that restarted,
+    # and the first question afterwards must not fail for that.
     engine = create_engine(url, pool_pre_ping=True, pool_timeout=_POOL_PATIENCE)
     if url.get_driver_name() == "psycopg":
         # the extra `postgres`

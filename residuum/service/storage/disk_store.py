@@ -55,20 +55,19 @@ SETTLED = 120.0
 database.
 """
 
+# Seconds for which who asks meanwhile waits for what another look finds; then readiness is denied,
+# for it must be answered also where the database says nothing.
 _CHECK_WITHIN = 2.0
-"""Seconds for which who asks meanwhile waits for what another look finds."""
+# Seconds between looks at whether something can be stored: each writes to the disk, and anybody may
+# ask for one.
 _CHECK_EVERY = 1.0
-"""Seconds between looks at whether something can be stored: each writes to the disk, and anybody
-may ask for one.
-"""
+# Pause [s] after every thousand rows that are looked at, in which requests are answered.
 _BETWEEN_ROWS = 0.1
-"""Pause [s] after every thousand rows that are looked at, in which requests are answered."""
+# [s] Of window times that are taken for a clock: from the year 2000 to 9999; others count from some
+# start.
 _FIRST_CLOCK, _LAST_CLOCK = 946_684_800.0, 253_402_300_000.0
-"""[s] Of window times that are taken for a clock: from the year 2000 to 9999; others count from
-some start.
-"""
+# By how much a window's own clock may be ahead of ours to be believed.
 _AHEAD = timedelta(minutes=1)
-"""By how much a window's own clock may be ahead of ours to be believed."""
 
 P = ParamSpec("P")
 Answer = TypeVar("Answer")
@@ -136,6 +135,7 @@ class DiskStore:
         self._blocks = Blocks(data / "blocks")
         self._clock = Clock()
         self.damage: str | None = None
+        # After the migration, which begins the database's file: known is what this run has opened.
         self._place = SamePlace(self._blocks.folder, sqlite_file(database_url))
         self._announce = announce
         self._rule_of = rule_of
@@ -290,6 +290,8 @@ class DiskStore:
             window = window_rows.add(connection, asset, record, block, now, request)
             number = asset_rows.add_finding(connection, asset, window, finding, now)
             finding_notices.add(connection, number)
+            # Alarms and their notices in the window's own transaction: a process that dies in
+            # between has kept both or neither (docs/decisions/0014).
             rule = self._rule_of(asset)
             judged = alarm_rows.JudgedWindow(
                 window,
@@ -301,6 +303,7 @@ class DiskStore:
             )
             changed = alarm_rows.follow(connection, asset, judged)
         self._refuse_moved()
+        # After the commit: a page that hears of it reads the rows at once, and must find them.
         self._announce("finding", StoredFinding(number, asset, window, now, finding).to_json())
         for alarm in changed:
             self._announce("alarm", alarm.to_json())

@@ -13,6 +13,8 @@ def make_folder(folder: Path) -> None:
     missing = [folder] if not folder.is_dir() else []
     while missing and not missing[-1].parent.is_dir():
         missing.append(missing[-1].parent)
+    # From the top down: where only the lowest folder was synced, a power cut took the folders above
+    # it, and with them all that they held (counted by `python -m benchmarks.power_cut`).
     for path in reversed(missing):
         path.mkdir(exist_ok=True)
         sync_folder(path.parent)
@@ -20,6 +22,7 @@ def make_folder(folder: Path) -> None:
 
 def sync_folder(folder: Path) -> None:
     """Return when the entries of a folder are on disk."""
+    # A folder can be opened for reading only; fsync needs no more.
     descriptor = os.open(folder, os.O_RDONLY)
     try:
         os.fsync(descriptor)

@@ -21,10 +21,9 @@ from residuum.service.storage.rows import block_rows
 from residuum.service.storage.tables import identity
 
 _FILE = "identity"
+# Newest signals of the rows of which one must be there, where folder or database hold no identity
+# yet.
 _LOOKED_AT = 100
-"""Newest signals of the rows of which one must be there, where folder or database hold no identity
-yet.
-"""
 
 
 class OtherDatabase(BadInput):
@@ -103,6 +102,8 @@ def _of_folder(folder: Path) -> str | None:
 def _write(file: Path, text: str) -> None:
     """Write a small file that is whole on disk, or not there."""
     make_folder(file.parent)
+    # Renamed when it is on disk: half an identity would be that of another folder, and the next
+    # start would be refused.
     part = file.with_name(f"{file.name}.part")
     with open(part, "w", encoding="ascii") as opened:
         opened.write(f"{text}\n")

@@ -63,6 +63,8 @@ def add_notice(connection: Connection, notice: Mapping[str, Any]) -> None:
     number = (connection.scalar(select(func.max(alarm_notices.c.number))) or 0) + 1
     row = {"number": number, "alarm": orjson.loads(orjson.dumps(notice))}
     connection.execute(insert(alarm_notices).values(row_checks.sealed(alarm_notices, row)))
+    # Bounded, for a receiver that never comes back must not fill the database; what goes untold is
+    # counted as `passed_over`.
     connection.execute(delete(alarm_notices).where(alarm_notices.c.number <= number - MOST_NOTICES))
 
 
@@ -77,6 +79,8 @@ def after(connection: Connection, last_number: int) -> Notice | None:
     row = connection.execute(query).first()
     if row is None:
         return None
+    # A damaged notice is passed over: one that was no JSON any more held up its receiver, for ever,
+    # from all that came behind it.
     alarm = None if row_checks.differs(alarm_notices, row._mapping) else row.alarm
     return Notice(row.number, alarm, row.number - last_number - 1)
 
@@ -143,6 +147,7 @@ class Outbox:
 
     def told(self, receiver: str, notice: Notice) -> None:
         """Note that the receiver knows it."""
+        # Forwards only: meanwhile another process may have taken over and be further on.
         held = (receivers.c.id == receiver, receivers.c.told < notice.number)
         with self._database.write() as connection:
             connection.execute(update(receivers).where(*held).values(told=notice.number))

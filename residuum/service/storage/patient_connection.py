@@ -19,6 +19,8 @@ from residuum.service.storage.database import SILENCE
 
 CONNECT_WITHIN = 5
 """Seconds in which a server must take a connection."""
+# Settings of the connection's socket [s; the last one ms]. A peer that is gone is noticed after 5 +
+# 3 · 2 = 11 s, and after 10 s where data wait to be confirmed.
 _KEEPALIVE = {
     "keepalives": 1,
     "keepalives_idle": 5,
@@ -26,14 +28,13 @@ _KEEPALIVE = {
     "keepalives_count": 3,
     "tcp_user_timeout": 10_000,
 }
-"""Settings of the connection's socket [s; the last one ms]."""
+# Settings of each session [ms, s], so that the server lets go of one whose client is gone.
 _OF_SESSIONS = {
     "idle_in_transaction_session_timeout": 10_000,
     "tcp_keepalives_idle": 5,
     "tcp_keepalives_interval": 2,
     "tcp_keepalives_count": 3,
 }
-"""Settings of each session [ms, s], so that the server lets go of one whose client is gone."""
 
 
 class PatientConnection(psycopg.Connection[Any]):

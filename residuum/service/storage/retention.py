@@ -24,12 +24,14 @@ from residuum.service.store import AlarmRates
 # How often alarms are raised, out of their journal.
 
 _TEN_MINUTES, _HOUR, _DAY_OF_RATES = timedelta(minutes=10), timedelta(hours=1), timedelta(days=1)
+# More alarms than this in ten minutes are a flood for one operator (ANSI/ISA-18.2-2016, 16.5).
 _FLOOD = 10
-"""More alarms than this in ten minutes are a flood for one operator (ANSI/ISA-18.2-2016, 16.5)."""
+# An alarm that is raised so often within so many seconds chatters. Three times a minute are where
+# ANSI/ISA-18.2 begins to look for chattering alarms.
 _CHATTER, _CHATTER_WITHIN = 3, 60.0
-"""An alarm that is raised so often within so many seconds chatters."""
+# Alarms that are named as the most frequent ones, as many as ANSI/ISA-18.2 (clause 16) looks at: a
+# few alarms make most of an operator's load.
 _MOST_NAMED = 10
-"""Alarms that are named as the most frequent ones."""
 
 
 def rates(connection: Connection, now: datetime) -> AlarmRates:
@@ -40,6 +42,8 @@ def rates(connection: Connection, now: datetime) -> AlarmRates:
         .where(
             alarm_journal.c.at > now - _DAY_OF_RATES,
             alarm_journal.c.event == AlarmEvent.RAISE.value,
+            # Raised while shelved, suppressed or out of service, an alarm asked nothing of an
+            # operator.
             alarm_journal.c.state == AlarmState.UNACKNOWLEDGED.value,
         )
         .order_by(alarm_journal.c.at)
@@ -110,18 +114,16 @@ def _stale(connection: Connection, now: datetime) -> list[int]:
 
 
 _DAY = 86_400.0
+# Signals let go in one transaction, so that writers never wait long for it.
 _AT_ONCE = 500
-"""Signals let go in one transaction, so that writers never wait long for it."""
+# Share of what is there that may go for its age within a day, where the age by itself asks for
+# less.
 _SHARE = 0.1
-"""Share of what is there that may go for its age within a day, where the age by itself asks for
-less.
-"""
+# Windows that may go for their age within a day, however few there are.
 _LEAST = 10
-"""Windows that may go for their age within a day, however few there are."""
+# How far back the newest window may lie: beyond, the clock may have jumped, and nothing goes for
+# its age.
 _FARTHEST = timedelta(days=7)
-"""How far back the newest window may lie: beyond, the clock may have jumped, and nothing goes for
-its age.
-"""
 
 
 @dataclass(frozen=True)

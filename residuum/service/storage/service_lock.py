@@ -48,6 +48,7 @@ def folder_lock(folder: Path) -> Iterator[None]:
     where none can be written.
     """
     make_folder(folder)
+    # Not inherited: a worker that outlives a killed service would hold the folder for it.
     descriptor = os.open(folder / _FILE, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
     try:
         try:

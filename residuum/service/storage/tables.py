@@ -46,9 +46,11 @@ class UtcDateTime(TypeDecorator[datetime]):
         return None if value is None else value.replace(tzinfo=UTC)
 
 
+# SQLite numbers rows by itself only where a key's type is INTEGER to the letter.
 Identity = BigInteger().with_variant(Integer, "sqlite")
 Document = JSON().with_variant(JSONB, "postgresql")
 
+# Constraints have names, so that a migration can drop them by name on either database.
 metadata = MetaData(
     naming_convention={
         "pk": "pk_%(table_name)s",
@@ -66,6 +68,8 @@ assets = Table(
     Column("diagnoser", String(64)),
     Column("created_at", UtcDateTime, nullable=False),
     Column("windows", BigInteger, nullable=False, default=0),
+    # No foreign key: findings point to assets, and two tables that point to each other could be
+    # neither restored nor deleted in an order.
     Column("last_finding_id", BigInteger),
     Column("checksum", String(8)),
 )
@@ -88,8 +92,10 @@ windows = Table(
     Column("digest", String(64)),
     Column("signal_let_go_at", UtcDateTime),
     Column("checksum", String(8)),
+    # Of two requests with one key at the same moment the database itself refuses the second one.
     UniqueConstraint("asset_id", "idempotency_key"),
     Index(None, "asset_id", "id"),
+    # Retention asks for the oldest whose signal is still kept.
     Index(None, "signal_let_go_at", "id"),
 )
 
@@ -215,6 +221,8 @@ audit_head = Table(
     Column("digest", String(64), nullable=False),
 )
 
+# Numbered by us, as the trail is: a sequence of the database leaves gaps where a transaction is
+# rolled back, and a gap here means that a notice was let go untold.
 alarm_notices = Table(
     "alarm_notices",
     metadata,

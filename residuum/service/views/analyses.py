@@ -100,6 +100,8 @@ def estimate(progress: Progress, asked: Asked, question: Estimate) -> Mapping[st
     """
     model, records = asked.opened(progress, "estimate")
     fitted = model.estimate(records, map=asked.mapping, **question.model_dump())
+    # Values that a search left on its way are no model: from true values of a pendulum in its loop
+    # one walked to numbers 170 times off. One that ends at a bound is an answer and is written.
     written = question.anyway or not fitted.unsettled
     return {"result": fitted.to_dict(), "file": None if not written else fitted.model.text.encode()}
 
@@ -155,6 +157,7 @@ def design_controller(
         controller = control.designed(
             names, [read_identified(text) for text in models], middle, asked
         )
+    # An answer and no failure of the job: the reason says which constraint asks for too much.
     except Infeasible as no:
         described = {"aim": asked.aim, "structure": asked.structure, "models": list(names)}
         return {"result": described | {"feasible": False, "reason": str(no)}}

@@ -36,12 +36,14 @@ from residuum.robust_control.weights.performance_weight import Infeasible, refin
 from residuum.service.views.signal_view import read_identified
 from residuum.service.work.jobs import Progress
 
+# Frequencies, moments and drawn plants of a picture at most: all points of the front travel in one
+# answer, so that a click on the front costs no request. Medians are of all drawn plants.
 _FREQUENCIES, _TIMES, _SHOWN_PLANTS = 200, 200, 40
-"""Frequencies, moments and drawn plants at most of a picture."""
+# Median settling times that a step response is shown for, and samples at least.
 _SHOWN_SETTLING_TIMES, _FEWEST_SAMPLES = 3.0, 40
-"""Median settling times that a step response is shown for, and samples at least."""
+# Of each number that is drawn. More than a screen resolves, at a third of the bytes of a float's
+# 17.
 _DIGITS = 6
-"""Of each number that is drawn."""
 
 Follow = Callable[[TransferFunction, TransferFunction, float], FloatArray]
 """What follows a unit step of the reference: (plant, controller, seconds)."""

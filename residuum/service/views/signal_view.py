@@ -27,12 +27,11 @@ from residuum.service.store import ReadInPieces
 from residuum.service.work.jobs import Progress
 from residuum.service.work.worker_pool import RecordParts
 
+# Intervals of all channels together, and of each: written as JSON in some 20 ms, in which nothing
+# else is done.
 _MOST_SHOWN, _FEWEST = 100_000, 10
-"""Intervals of all channels together, and of each: written as JSON in some 20 ms, in which nothing
-else is done.
-"""
+# Of a sample: a time that is printed as a sample's own means that sample.
 _NEXT = 1e-6
-"""Of a sample: a time that is printed as a sample's own means that sample."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,6 +58,7 @@ def extremes(signal: npt.NDArray[Any], most: int) -> Extremes:
     samples = max(1, -(-n // most))
     whole = n // samples
     body = signal[: whole * samples].reshape(whole, samples)
+    # fmin and fmax pass NaN over: by min and max one missing sample would blank its whole interval.
     lowest, highest = np.fmin.reduce(body, axis=1), np.fmax.reduce(body, axis=1)
     remainder = n - whole * samples
     if remainder:
@@ -151,8 +151,8 @@ def _values(pieces: Iterator[Any], n: int, points: int, reduced: bool) -> dict[s
 # some size costs or shows.
 # The work of a job.
 
+# Intervals of a residual that are drawn, and levels of its operating characteristic.
 _POINTS, _LEVELS = 1500, 200
-"""Intervals of a residual that are drawn, and levels of its operating characteristic."""
 
 
 def read_identified(content: bytes) -> IdentifiedModel:

@@ -16,10 +16,10 @@ from residuum.service.storage.tables import alarm_floods, alarm_journal, alarms
 
 FLOOD = "flood"
 """What a notice of a flood has as its `kind`."""
+# The span in which a flood's alarms are counted (ANSI/ISA-18.2-2016, 16.5).
 _WITHIN = timedelta(minutes=10)
-"""The span in which a flood's alarms are counted (ANSI/ISA-18.2-2016, 16.5)."""
+# Share of the number that begins a flood below which it is over.
 _OVER = 0.5
-"""Share of the number that begins a flood below which it is over."""
 
 
 def takes(connection: Connection, event: AlarmEvent, more_than: int, now: datetime) -> bool:

@@ -14,10 +14,10 @@ from residuum.service.storage.rows import paging, row_checks
 from residuum.service.storage.tables import alarm_journal, alarms, findings
 from residuum.service.store import AlarmOccurrence, Page
 
+# Entries of the journal that tell of an alarm, or may have done before they were damaged.
 _RAISED = (alarm_journal.c.event == AlarmEvent.RAISE.value) | alarm_journal.c.event.not_in(
     [event.value for event in AlarmEvent]
 )
-"""Entries of the journal that tell of an alarm, or may have done before they were damaged."""
 
 
 def page(

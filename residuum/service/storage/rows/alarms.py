@@ -37,13 +37,13 @@ _NEVER_RAISED = {
     "message": "",
     "occurrences": 0,
 }
+# Verdict → the kinds of alarms that it tells of, each with whether its condition is shown.
 _CONDITIONS: dict[Verdict, tuple[tuple[str, bool], ...]] = {
     Verdict.FAULTY: ((MACHINE, True), (SIGNAL, False)),
     Verdict.HEALTHY: ((MACHINE, False), (SIGNAL, False)),
     # A window that cannot be judged says nothing about the machine: its alarm stays as it is.
     Verdict.NOT_ASSESSABLE: ((SIGNAL, True),),
 }
-"""Verdict → the kinds of alarms that it tells of, each with whether its condition is shown."""
 _LISTED = tuple(state.value for state in ACTIVE)
 
 
@@ -422,6 +422,8 @@ def _change(
     detail = {"asset": row.asset_id, "kind": row.kind, "state": row.state, "comment": note.comment}
     audit.append(connection, action, subject, by=note.by, now=note.at, detail=detail)
     changed = _alarm(row)
+    # In a flood its one notice stands for all alarms; what people do with alarms is told all the
+    # same.
     if not alarm_floods.takes(connection, note.event, flood, note.at):
         outbox.add(connection, changed)
     return changed

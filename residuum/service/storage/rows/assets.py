@@ -13,6 +13,7 @@ from residuum.service.storage.rows import paging, row_checks
 from residuum.service.storage.tables import assets, findings, windows
 from residuum.service.store import Asset, IndicatorHistory, NotFound, Page, StoredFinding
 
+# What of a finding may be long.
 _DOCUMENTS = (
     findings.c.indicators,
     findings.c.thresholds,
@@ -20,9 +21,9 @@ _DOCUMENTS = (
     findings.c.evidence,
     findings.c.reason,
 )
-"""What of a finding may be long."""
+# Bytes of the indicators that are read for one history. Numbers alone, so that a curve over a long
+# time may be larger than a list's page.
 _HISTORY = 3 * paging.PAGE_BYTES
-"""Bytes of the indicators that are read for one history."""
 
 
 def ensure(

@@ -32,8 +32,8 @@ P = ParamSpec("P")
 Span = tuple[datetime | None, datetime | None]
 
 DAMAGED = "damaged"
+# By how much the clock of who tells may be ahead of ours.
 _CLOCKS_APART = timedelta(minutes=1)
-"""By how much the clock of who tells may be ahead of ours."""
 
 
 def add(

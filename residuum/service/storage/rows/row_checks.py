@@ -89,10 +89,9 @@ theirs is called.
 """
 
 
+# Columns that rows were sealed without before there were any: they count where they say something,
+# so that those rows go on to be told whole or damaged.
 _LATER = frozenset({alarms.c.priority.name, alarms.c.suppressed_by.name})
-"""Columns that rows were sealed without before there were any: they count where they say something,
-so that those rows go on to be told whole or damaged.
-"""
 
 
 def of_row(table: Table, values: Mapping[Any, Any]) -> str:
@@ -332,6 +331,7 @@ _newest_version = _of_each(
     func.coalesce(func.max(model_versions.c.number), 0),
     model_versions.c.model_id == models.c.id,
 )
+# What is asked of a row of some tables beside its checksum, and the query that answers it.
 _MORE: Mapping[Table, tuple[Select[Any], Callable[[Row[Any]], Says]]] = {
     windows: (select(windows, _judged.label("judged")), _window),
     findings: (
@@ -350,4 +350,3 @@ _MORE: Mapping[Table, tuple[Select[Any], Callable[[Row[Any]], Says]]] = {
     models: (select(models, _newest_version.label("newest"), _versions_held.label("held")), _model),
     model_versions: (select(model_versions), _version),
 }
-"""What is asked of a row of some tables beside its checksum, and the query that answers it."""

@@ -69,6 +69,8 @@ def with_key(connection: Connection, asset: str, request: RequestKey) -> int | N
     row = connection.execute(query).first()
     if row is None:
         return None
+    # A key that comes with another content is a client's mistake: answered with the first window,
+    # the second one would be lost without a word.
     if row.digest != request.digest:
         raise Conflict(
             f"Idempotency-Key {request.key[:60]!r}: was used for another window of asset {asset!r}"
