@@ -284,7 +284,7 @@ def _evidence(
         _Floored.of(spectrum, rate / length, high - low, frequencies.shaft)
         for spectrum, (low, high) in zip(spectra, bands, strict=True)
     ]
-    searched = _Searched.of(grid, control, bands, floored, frequencies)
+    searched = SearchedBands.of(grid, control, bands, floored, frequencies)
     return {name: searched.evidence(variants) for name, variants in centres.items()}
 
 
@@ -315,7 +315,7 @@ def _prominence(scores: AnyArray, of_controls: AnyArray, control: AnyArray) -> A
 
 
 @dataclass(frozen=True, eq=False)
-class _Searched:
+class SearchedBands:
     """What every band shows at every frequency of a grid.
 
     Attributes
@@ -348,7 +348,8 @@ class _Searched:
         bands: list[tuple[float, float]],
         floored: list[_Floored],
         frequencies: BearingFrequencies,
-    ) -> _Searched:
+    ) -> SearchedBands:
+        """What the floored spectra of the bands show of every family of lines."""
         families = [floor.families(grid) for floor in floored]
         scores = np.array([T for T, _ in families])
         depths = np.array([depth for _, depth in families])

@@ -13,7 +13,7 @@ from residuum.diagnosis.diagnosers.bearing import Bearing
 from residuum.diagnosis.finding import Verdict
 from residuum.diagnosis.vibration.bearing_lines import (
     BearingFrequencies,
-    _best,
+    SearchedBands,
     line_evidence,
     orders_from_geometry,
 )
@@ -271,10 +271,12 @@ def test_no_healthy_block_of_two_seconds_names_a_part(sensor):
 def test_a_second_look_costs_what_chance_gains_by_it():
     """A part at one of two frequencies stands out by the better one, less ln 2 / ln 5 deciles."""
     grid, bands = np.geomspace(50.0, 200.0, 1001), [(0.0, 6000.0)]
-    height = np.interp(grid, [50, 70, 72, 140, 142, 200], [0, 3, 3, 7, 7, 0])[None, :]
-    once, twice = (
-        _best(centres, grid, bands, height, height, height) for centres in ([141.0], [141.0, 71.0])
-    )
+    # below what is worth taking its own lines out of the controls for
+    height = np.interp(grid, [50, 70, 72, 140, 142, 200], [0, 0.6, 0.6, 1.8, 1.8, 0])[None, :]
+    control = np.zeros(len(grid), bool)
+    frequencies = BearingFrequencies.from_orders(ORDERS, 30.0)
+    searched = SearchedBands(grid, control, bands, [], height, height, height, frequencies)
+    once, twice = (searched.evidence(centres) for centres in ([141.0], [141.0, 71.0]))
     assert twice.expected == once.expected == 141.0 and twice.depth == once.depth
     assert once.prominence - twice.prominence == pytest.approx(np.log(2) / np.log(5))
 
