@@ -32,10 +32,8 @@ _IMPORT = re.compile(
     r"^\s*(?:from (residuum[\w.]*) import (\([^)]*\)|.*)|import (residuum[\w.]*))", re.MULTILINE
 )
 _NAME = re.compile(r"\w+")
+# Versions of a file whose loops stay compiled: the installed one, and checkouts beside it. Chosen.
 _KEPT = 4
-"""Versions of a file whose loops stay compiled: the installed one, and checkouts beside it.
-Chosen.
-"""
 
 
 def njit(**options: Any) -> Callable[[Any], Any]:

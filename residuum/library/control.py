@@ -44,8 +44,8 @@ from residuum.robust_control.weights.performance_weight import Infeasible
 
 __all__ = ["Controller", "Infeasible", "design"]
 
+# Drawn plants whose steps are drawn as a range.
 _SHOWN_PLANTS = 20
-"""Drawn plants whose steps are drawn as a range."""
 _NO_LIMITS = (-math.inf, math.inf)
 
 

@@ -26,12 +26,12 @@ from residuum.library.result import Result, Row
 if TYPE_CHECKING:
     import pandas
 
+# Candidates whose probabilities are drawn.
 _SHOWN = 8
-"""Candidates whose probabilities are drawn."""
+# Candidates whose curves are drawn beside one another.
 _COMPARED = 3
-"""Candidates whose curves are drawn beside one another."""
+# Bins of the signal that the missing term is drawn over.
 _BINS = 40
-"""Bins of the signal that the missing term is drawn over."""
 
 
 def _physical(axes: Sequence[Axis]) -> Sequence[Axis]:

@@ -35,10 +35,10 @@ from residuum.library.questions.identify import LAGS, Identify
 
 NOISE_MODELLED = ("arx", "armax", "bj")
 """Methods whose noise model makes them right in a closed loop."""
+# Delays that are always tried, and how far beyond where the input acts for certain.
 _LONGEST_DELAY, _DELAYS_BEYOND = 20, 5
-"""Delays that are always tried, and how far beyond where the input acts for certain."""
+# Delays at most that are compared by fits where the input answers the output.
 _DELAYS_IN_A_LOOP = 8
-"""Delays at most that are compared by fits where the input answers the output."""
 _NO_DELAY_ZERO = (
     "delay 0 was left out of the estimate: a plant that answers within the sample looks like a"
     " loop; give `delay` 0 if it is one"

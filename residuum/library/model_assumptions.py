@@ -45,21 +45,18 @@ from residuum.identification.record import Record
 from residuum.library.identification_methods import NOISE_MODELLED, identified_by
 from residuum.library.questions.identify import LAGS, Identify
 
+# Fit on data kept aside [%] below which a model that nothing is said against gets a remark.
 _POOR_FIT = 50.0
-"""Fit on data kept aside [%] below which a model that nothing is said against gets a remark."""
+# Methods whose poles may lie outside the unit circle, and whose predictor is stable there.
 _MAY_BE_UNSTABLE = ("arx", "armax", "ar")
-"""Methods whose poles may lie outside the unit circle, and whose predictor is stable there."""
 _EXCITES = "the input is persistently exciting"
+# Share of the static gain that the model may put later than the records go on.
 _NOT_OVER = 0.05
-"""Share of the static gain that the model may put later than the records go on."""
+# Samples that the fit of the first part sees, that are judged after it, and of the past at least
+# that the judged ones are simulated from.
 _MOST_REFITTED, _MOST_JUDGED, _BEFORE = 20_000, 8_000, 1000
-"""Samples that the fit of the first part sees, that are judged after it, and of the past at least
-that the judged ones are simulated from.
-"""
+# Directions that a record has to tell for a response without an order to be more than its prior.
 _FEW = 6
-"""Directions that a record has to tell for a response without an order to be more than its
-prior.
-"""
 _ANOTHER_RECORD = (
     "for a controller record steps of the set point of a loop that holds it (a proportional one is"
     " enough), and identify from set point to output"

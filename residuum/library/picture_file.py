@@ -20,10 +20,10 @@ from residuum.library.whole_file import write_whole
 from residuum.nearest_names import known_names
 
 ENDINGS = (".png", ".html")
+# Of an image, of a panel in it, and what each bar adds to that [inch].
 _WIDTH, _HEIGHT, _PER_BAR = 9.0, 2.6, 0.28
-"""Of an image, of a panel in it, and what each bar adds to that [inch]."""
+# Dots an inch.
 _DOTS = 120
-"""Dots an inch."""
 
 
 def check_picture_file(path: Path) -> None:

@@ -51,8 +51,8 @@ from residuum.library.whole_file import write_whole
 
 # Linear models of several inputs and outputs, as an answer.
 
+# Standard deviations of a 95 % band.
 _BAND = 1.96
-"""Standard deviations of a 95 % band."""
 
 
 def _gain_std(path: IdentifiedModel) -> float:
@@ -241,8 +241,8 @@ if TYPE_CHECKING:
     import plotly.graph_objects
 
 """Standard deviations of a 95 % band."""
+# Frequencies of a response that is drawn.
 _FREQUENCIES = 300
-"""Frequencies of a response that is drawn."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -12,8 +12,8 @@ from residuum.library.picture import Bars, Curve, Panel, Picture
 MOST_POINTS = 4000
 """Of a curve."""
 COLOURS = ("#1f6f8b", "#d1495b", "#66a182", "#edae49", "#8d6a9f", "#5c6b73")
+# Of a panel [px].
 _HEIGHT = 260
-"""Of a panel [px]."""
 
 
 def figure(picture: Picture) -> Any:

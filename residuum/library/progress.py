@@ -17,8 +17,8 @@ Progress = Tell | bool | None
 watches.
 """
 
+# Characters of the line, which must not wrap: a terminal has 80.
 _WIDTH = 78
-"""Characters of the line, which must not wrap: a terminal has 80."""
 
 
 @contextmanager

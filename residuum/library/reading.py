@@ -141,8 +141,8 @@ def numbers(values: Any, where: str) -> npt.NDArray[np.float64]:
 # The time of a table (a DataFrame, a Dataset): instants, durations, seconds; never a count of its
 # rows.
 
+# Above this a number is no second of our days, since 1970 or since a start.
 _EPOCH = 1e11
-"""Above this a number is no second of our days, since 1970 or since a start."""
 
 
 def seconds(

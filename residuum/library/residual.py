@@ -22,8 +22,8 @@ from residuum.library.reading import as_records
 from residuum.library.result import Result, Row
 
 Records = MeasuredRecord | str | PathLike[str] | Sequence[MeasuredRecord | str | PathLike[str]]
+# Frequencies of the post-filter's gain that are drawn.
 _FREQUENCIES = 300
-"""Frequencies of the post-filter's gain that are drawn."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)

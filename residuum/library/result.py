@@ -21,8 +21,8 @@ if TYPE_CHECKING:
 
 Row = Mapping[str, Any]
 
+# Of a table in a notebook; the rest is counted.
 _ROWS = 12
-"""Of a table in a notebook; the rest is counted."""
 
 
 class Result(ABC):

@@ -9,12 +9,12 @@ import numpy as np
 
 from residuum.library.picture import Array, Bars, Curve, Panel, Picture
 
+# Of a panel [px].
 _WIDTH, _HEIGHT = 560, 150
-"""Of a panel [px]."""
+# Margins of the axes [px], for numbers and names.
 _LEFT, _RIGHT, _TOP, _BOTTOM = 62, 12, 20, 30
-"""Margins of the axes [px], for numbers and names."""
+# Of a curve: more than one a pixel cannot be seen.
 _POINTS = 600
-"""Of a curve: more than one a pixel cannot be seen."""
 _COLOURS = ("#1f6f8b", "#d1495b", "#66a182", "#edae49", "#8d6a9f", "#5c6b73")
 
 

@@ -14,8 +14,8 @@ from residuum.library.record import Record
 from residuum.nearest_names import known_names
 from residuum.simulation import MACHINES, BadSetting, Machine, Signals
 
+# Of a record that is simulated: it is held in memory as a whole.
 _MOST_SAMPLES = 50_000_000
-"""Of a record that is simulated: it is held in memory as a whole."""
 _COMMON = ("self", "seed", "effects", "faults", "exemplar")
 
 

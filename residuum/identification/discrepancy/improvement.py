@@ -15,10 +15,9 @@ from residuum.identification.record import Record
 from residuum.identification.unseen_blocks.verdict import Candidate, Quantity, Remaining
 from residuum.identification.work import Work
 
+# Keys of an effect's provenance: the held-out error with it, and the standard deviation of a
+# parameter.
 _ERROR_AFTER, _STD = "error_after", "std_"
-"""Keys of an effect's provenance: the held-out error with it, and the standard deviation of a
-parameter.
-"""
 
 
 @dataclass(frozen=True)

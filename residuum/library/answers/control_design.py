@@ -22,8 +22,8 @@ from residuum.robust_control.loop import weighted_loop
 
 # What a control design promises in time beside what is measured, for the console and the page.
 
+# Share of the drawn plants that stay below what is told as reached.
 _SHARE = 0.95
-"""Share of the drawn plants that stay below what is told as reached."""
 
 
 def promise_and_measurement(
@@ -96,8 +96,8 @@ def says(result: Mapping[str, Any]) -> list[str]:
     ]
 
 
+# Figures of a step response, in the order in which `StepResponse` takes them.
 _NAMES = ("overshoot", "settling_time", "integral_absolute_error")
-"""Figures of a step response, in the order in which `StepResponse` takes them."""
 
 
 def _figures(step: StepResponse) -> dict[str, float | None]:

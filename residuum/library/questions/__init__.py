@@ -47,6 +47,7 @@ from residuum.nearest_names import known_names
 
 Value = TypeVar("Value")
 Function = TypeVar("Function", bound=Callable[..., Any])
+# pydantic's kinds of errors → rules of ours.
 _RULES = {
     "missing": "is missing",
     "finite_number": "must be a finite number",
@@ -63,17 +64,16 @@ _RULES = {
     "too_short": "needs {min_length} or more items",
     **dict.fromkeys(("bool_type", "bool_parsing"), "must be true or false"),
 }
-"""pydantic's kinds of errors → rules of ours."""
+# How a type is shown; of several names one may stand alone.
 _SHOWN = {
     NoneType: "None",
     tuple[str, ...]: "str | tuple[str, ...]",
 }
-"""How a type is shown; of several names one may stand alone."""
 _BOUNDS = {"ge": "≥", "gt": ">", "le": "≤", "lt": "<"}
+# Of a value in a refusal.
 _LONGEST = 60
-"""Of a value in a refusal."""
+# What comes after a question's fields in a docstring.
 _LAST = re.compile(r"(\nprogress :|\n\nReturns\n)")
-"""What comes after a question's fields in a docstring."""
 _LINES = TextWrapper(126, initial_indent="    ", subsequent_indent="    ", break_on_hyphens=False)
 
 

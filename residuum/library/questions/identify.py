@@ -20,8 +20,8 @@ LAGS = 100
 METHODS = ("kernel", *PENALTIES, "set-membership", "stochastic-embedding", *STRUCTURES)
 """`ar` alone needs no input: it is the model of a time series."""
 
+# Where a field of a model with an input counts.
 _WITH_INPUT = ({"method": [method for method in METHODS if method != "ar"]},)
-"""Where a field of a model with an input counts."""
 
 _Channel = Annotated[str, Field(min_length=1, max_length=200)]
 _Channels = Annotated[
