@@ -93,6 +93,7 @@ class Controller(Result):
         synthesis = self.found.chosen.design
         return dict(zip(synthesis.structure.names, synthesis.rho.tolist(), strict=True))
 
+    # Hundreds of plants are followed for it, and text, JSON and picture each ask.
     @cached_property
     def measured(self) -> Measured:
         """Step responses of the nominal loop, and of 200 or more plants drawn from their
@@ -250,6 +251,7 @@ class Controller(Result):
             self.problem.horizon,
             3.0 * float(np.median([figure.settling_time for figure in self.figures])),
         )
+        # Plants that never settle have no settling time by which to choose the picture's end.
         duration = duration if math.isfinite(duration) and duration > 0 else self.problem.horizon
         nominal = self._step(self.problem.plant, duration)
         drawn = np.array(

@@ -143,9 +143,11 @@ class Explanation(Result):
             "probability",
             Bars(names, [c.probability for c in shown], texts, 1.0),
         )
+        # Errors stand over that of the first candidate: without one there is nothing to be drawn.
         if not shown:
             return [probable]
         errors = [f"{c.error_before:.3g} → {c.error_after:.3g} {c.error_unit}" for c in shown]
+        # An error of zero, where a model meets its record exactly, has no share that is left.
         left = [
             100.0 * c.error_after / c.error_before if c.error_before > 0 else 100.0 for c in shown
         ]

@@ -157,6 +157,8 @@ class FmuModel(Model):
 
     @property
     def _instance(self) -> Instance:
+        # The time of the file's last change is part of the key: an FMU that was written anew is
+        # loaded anew, one that was not is loaded once for all records.
         path = Path(self._described.path)
         return _instance(str(path), path.stat().st_mtime_ns)
 

@@ -180,6 +180,7 @@ def _parametric(
                 (fitted(records, asked, delay) for delay in delays), key=_criterion_a_sample
             )
             return replace(best_model, warnings=(*best_model.warnings, _NO_DELAY_ZERO))
+        # A time series has no input that could come late.
         return fitted(
             records, asked, _delay(records, asked) if STRUCTURES[structure].has_input else 1
         )

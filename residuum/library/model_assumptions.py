@@ -49,6 +49,7 @@ from residuum.library.questions.identify import LAGS, Identify
 _POOR_FIT = 50.0
 # Methods whose poles may lie outside the unit circle, and whose predictor is stable there.
 _MAY_BE_UNSTABLE = ("arx", "armax", "ar")
+# How the sentence begins, by which the model's own warning of the same is known below.
 _EXCITES = "the input is persistently exciting"
 # Share of the static gain that the model may put later than the records go on.
 _NOT_OVER = 0.05
@@ -57,6 +58,8 @@ _NOT_OVER = 0.05
 _MOST_REFITTED, _MOST_JUDGED, _BEFORE = 20_000, 8_000, 1000
 # Directions that a record has to tell for a response without an order to be more than its prior.
 _FEW = 6
+# Designs are for stable plants. A loop that holds an unstable or integrating one is a stable plant,
+# seen from its set point.
 _ANOTHER_RECORD = (
     "for a controller record steps of the set point of a loop that holds it (a proportional one is"
     " enough), and identify from set point to output"
@@ -100,6 +103,7 @@ class Assumptions:
     @property
     def tells_model(self) -> bool:
         """Whether the input excites to the order that the model needs."""
+        # The test finds no order above its number of lags.
         return self.excitation is None or self.excitation.order >= min(
             self.needed, self.excitation.lags
         )

@@ -57,12 +57,16 @@ def write_picture(picture: Picture, path: Path, title: str) -> None:
         As `check_picture_file` says; a folder that does not exist.
     """
     check_picture_file(path)
+    # By Matplotlib: for an image Plotly needs a whole browser.
     if path.suffix.lower() == ".png":
         write_whole(path, _png(picture))
         return
     drawn = figure(picture)
     drawn.update_layout(title={"text": escape(title)}, margin={"t": 90, "b": 50})
+    # Plotly's script is inside: the page has to open where there is no network.
     page: str = drawn.to_html(full_html=True, include_plotlyjs=True)
+    # Plotly gives its page no title; it is the first text of a user's that stands in HTML here,
+    # hence the escape.
     write_whole(path, page.replace("<head>", f"<head><title>{escape(title)}</title>", 1))
 
 
@@ -113,6 +117,7 @@ def _bars(axes: Any, bars: Bars, label: str) -> None:
     places = np.arange(len(bars.values))
     drawn = axes.barh(places, list(bars.values), color=COLOURS[0])
     axes.set_yticks(places, list(bars.names), fontsize=8)
+    # Matplotlib counts upwards; the first candidate belongs on top.
     axes.invert_yaxis()
     axes.set_xlabel(label)
     if bars.texts:

@@ -215,6 +215,7 @@ def multivariable_plant(
         asked.outputs,
         kernel=asked.kernel,
         order=LAGS if asked.order is None else asked.order,
+        # Delays are estimated for a single path alone.
         delay=1 if asked.delay is None else asked.delay,
         noise_variance=asked.noise_variance,
         offset=asked.offset,
@@ -240,7 +241,6 @@ def _fits(model: MultivariableModel, record: Record) -> dict[str, float]:
 if TYPE_CHECKING:
     import plotly.graph_objects
 
-"""Standard deviations of a 95 % band."""
 # Frequencies of a response that is drawn.
 _FREQUENCIES = 300
 
@@ -436,17 +436,23 @@ class Plant(Result):
             self.identified.frequency_response(omega),
             self.identified.frequency_covariance(omega),
         )
+        # A response of exactly zero has no direction, and no decibels.
         size = np.maximum(np.abs(G), 1e-300)
+        # The covariance of (Re G, Im G) is taken along G, where it moves the magnitude, and across
+        # it, where it turns the phase.
         along = np.stack([G.real, G.imag], axis=1) / size[:, None]
         across = np.stack([-along[:, 1], along[:, 0]], axis=1)
         spread = [
             np.sqrt(np.maximum(np.einsum("ki,kij,kj->k", d, covariance, d), 0.0))
             for d in (along, across)
         ]
+        # A band that reaches a gain of zero would have no lower end in decibels: it ends 60 dB
+        # below.
         low, high = (
             20.0 * np.log10(np.maximum(size + s * _BAND * spread[0], 1e-3 * size))
             for s in (-1.0, 1.0)
         )
+        # Half a turn to either side already says that the phase is not known.
         phase, turn = (
             np.degrees(np.unwrap(np.angle(G))),
             np.degrees(np.minimum(_BAND * spread[1] / size, np.pi)),
@@ -674,6 +680,7 @@ def split_records(
 ) -> tuple[tuple[MeasuredRecord, ...], tuple[MeasuredRecord, ...]]:
     """What a model is identified from, and what the records' split notes keep for validation."""
     cuts = [
+        # A record needs one sample, however small the share.
         record.n if record.split is None else max(1, round(record.split * record.n))
         for record in records
     ]

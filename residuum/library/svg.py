@@ -15,6 +15,7 @@ _WIDTH, _HEIGHT = 560, 150
 _LEFT, _RIGHT, _TOP, _BOTTOM = 62, 12, 20, 30
 # Of a curve: more than one a pixel cannot be seen.
 _POINTS = 600
+# Those of the Plotly figures: a curve has one colour in both.
 _COLOURS = ("#1f6f8b", "#d1495b", "#66a182", "#edae49", "#8d6a9f", "#5c6b73")
 
 
@@ -85,6 +86,7 @@ def _curves(curves: Sequence[Curve], logarithmic: bool) -> str:
 def _bars(bars: Bars) -> str:
     if not bars.values:
         return ""
+    # Bars that are all zero have no longest one to be drawn against.
     top = max([*(abs(value) for value in bars.values if np.isfinite(value)), bars.whole or 1e-300])
     step = (_HEIGHT - _TOP - _BOTTOM) / len(bars.values)
     parts = []

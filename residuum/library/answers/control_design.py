@@ -22,6 +22,7 @@ from residuum.robust_control.loop import weighted_loop
 
 # What a control design promises in time beside what is measured, for the console and the page.
 
+# The share that `in_time` holds a design to.
 # Share of the drawn plants that stay below what is told as reached.
 _SHARE = 0.95
 
@@ -141,6 +142,7 @@ def design_json(
         "worst_frequency_rad_s": design.worst_frequency,
         "stable": design.stable,
         "robust_stability_norm": (
+            # The norm of a loop that is not stable bounds nothing; neither has it a margin.
             h_infinity_norm(weighted_loop(problem.plant, design.controller, W_T=W_T))[0]
             if design.stable
             else None

@@ -90,10 +90,12 @@ def _formula(signal: str, parameters: Mapping[str, Quantity]) -> str | None:
     )
 
 
+# Chosen. Advice that would tell nothing is not printed.
 # Power of an experiment below which it is no advice.
 _WORTH_SAYING = 0.1
 # Candidates that are less probable are only named.
 _RULED_OUT = 0.005
+# Of a real arm the whole list filled a page.
 # Of what was not tried, so many are named.
 _TOLD = 6
 
@@ -159,6 +161,7 @@ def _blocks_json(blocks: BlockErrors) -> dict[str, Any]:
     """
 
     def listed(errors: FloatArray) -> list[float | None]:
+        # JSON has no NaN.
         return [float(e) if isfinite(e) else None for e in errors]
 
     return {

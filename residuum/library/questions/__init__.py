@@ -78,6 +78,7 @@ _LINES = TextWrapper(126, initial_indent="    ", subsequent_indent="    ", break
 
 
 def _warned(says: str) -> None:
+    # So many frames lie between here and the line that called the library.
     warnings.warn(says, FutureWarning, stacklevel=6)
 
 
@@ -90,6 +91,8 @@ OLD_SPELLINGS: ContextVar[Callable[[str], None]] = ContextVar(
 class Question(BaseModel):
     """A question as a value, whoever asks it; its fields are declared by `field`."""
 
+    # Frozen, for a question is handed on as a value. An unknown field is refused: one that was
+    # mistyped and passed over (`speed_rmp`) once had a broken bearing called healthy.
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
     earlier: ClassVar[Mapping[str, Mapping[str, Any]]] = {}
@@ -124,6 +127,8 @@ class Question(BaseModel):
         now = {
             name: values[given[name]]
             for name, values in cls.earlier.items()
+            # By equality in a list: as a key of the mapping a value that is itself a list would not
+            # do.
             if given.get(name) in list(values)
         }
         for name, value in now.items():
@@ -247,6 +252,8 @@ def refusal(error: Mapping[str, Any], known: Iterable[str] = ()) -> BadInput:
     own = context.get("error")
     if isinstance(own, BadInput):
         return own
+    # `body`, `query` and `[key]` are where FastAPI and pydantic found it, which tells a caller
+    # nothing.
     where = ".".join(str(part) for part in error["loc"] if part not in ("body", "query", "[key]"))
     if error["type"] == "extra_forbidden":
         return BadInput(repr(where), "", f"there is none of this name; {known_names(where, known)}")
@@ -272,6 +279,7 @@ def _as_given(value: object) -> str:
 
 def part_of(asked: BaseModel, question: type[Asked]) -> Asked:
     """The question in a body that has fields of a door's own beside it."""
+    # Not validated again: it was as part of the body, and an old spelling is told once.
     return question.model_construct(
         **{name: getattr(asked, name) for name in question.model_fields}
     )

@@ -19,6 +19,7 @@ WISHES = {"nominal": ("overshoot", "settling-time"), "robust": ("high-gain", "cr
 
 _NOMINAL, _ROBUST = {"aim": ["nominal"]}, {"aim": ["robust"]}
 
+# JSON has no infinity; `-inf` of a command means the same as no limit.
 Limit = Annotated[
     Annotated[float, Field(ge=-1e300, le=1e300)] | None,
     BeforeValidator(lambda given: None if str(given).lower() in ("-inf", "inf") else given),

@@ -34,6 +34,7 @@ _VARIANCE = f"must be a number or one of {', '.join(NOISE_VARIANCE_METHODS)}"
 def _number(given: object) -> object:
     """A number that was written as text."""
     try:
+        # On a command line a variance comes as a text, as the names of methods do.
         return float(given) if isinstance(given, str) else given
     except ValueError:
         return given

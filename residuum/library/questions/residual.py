@@ -76,6 +76,7 @@ def residual_for(
         What a model of several outputs has alone; a model or records that do not suit.
     """
     if asked.unknown_input or asked.method == UNKNOWN_INPUT:
+        # The field that was set is named, of the two that a model of one output has no use for.
         where = "method" if asked.method == UNKNOWN_INPUT else "unknown_input"
         setting = repr(asked.method if where == "method" else asked.unknown_input)
         raise BadInput(

@@ -63,6 +63,7 @@ class Score(Question):
     @property
     def settings(self) -> dict[str, Any]:
         """The settings that were given, as a diagnoser takes them."""
+        # What was not said is left out: a diagnoser refuses a setting that it does not have.
         return self.model_dump(exclude_none=True, exclude_defaults=True)
 
 
