@@ -261,6 +261,7 @@ class Controller(Result):
             ]
         )
         time = float(self.problem.plant.sample_time or 1.0) * np.arange(len(nominal))
+        # A range, not a band of chance: the lowest and highest of the drawn plants at each instant.
         curve = Curve("closed loop", time, nominal, drawn.min(axis=0), drawn.max(axis=0))
         return Picture(
             [Panel("step of the reference, and plants drawn", "time [s]", "output", [curve])]

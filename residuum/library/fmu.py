@@ -113,6 +113,8 @@ class FmuModel(Model):
         self._described, self._values = described, dict(values)
         self._library: LoadedLibrary | None = None
         self._own: OwnSimulation | None = None
+        # With states that can be read and set effects act in balances; any other FMU is simulated
+        # along a record, and effects are judged on the paths of its outputs.
         if is_exchangeable(described):
             self._library = _loaded(self._instance)
             self._library.settle(self._set)

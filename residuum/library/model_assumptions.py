@@ -365,6 +365,8 @@ def plant_tests(records: Sequence[Record], asked: Identify, delay: int | None) -
             )
             dead = dead_time(longer)
     except BadInput:
+        # Records too short for the tests may still do for a model: nothing is known then, and
+        # nothing said.
         return PlantTests(first_lag)
     return PlantTests(
         first_lag,
@@ -527,6 +529,7 @@ def model_check(
         try:
             checks.append(residual_check(part.model, part.record, part.first))
         except BadInput as error:
+            # What cannot be tested is told, and neither withholds the model nor counts as passed.
             reasons.append(f"residuals: {error}")
     bootstrap = None
     try:

@@ -262,6 +262,7 @@ class Monitor(OutlierMixin, BaseEstimator):
         >>> (monitor.decision_function(windows) < 0).tolist()
         [False, True]
         """
+        # At its threshold an indicator is 1 of it: below 0 is an outlier, as scikit-learn has it.
         return self.score_samples(X) + 1.0
 
     def indicators(self, X: Records) -> pandas.DataFrame:

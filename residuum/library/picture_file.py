@@ -65,8 +65,7 @@ def write_picture(picture: Picture, path: Path, title: str) -> None:
     drawn.update_layout(title={"text": escape(title)}, margin={"t": 90, "b": 50})
     # Plotly's script is inside: the page has to open where there is no network.
     page: str = drawn.to_html(full_html=True, include_plotlyjs=True)
-    # Plotly gives its page no title; it is the first text of a user's that stands in HTML here,
-    # hence the escape.
+    # Plotly gives its page no title; the text holds a user's names, hence the escape.
     write_whole(path, page.replace("<head>", f"<head><title>{escape(title)}</title>", 1))
 
 

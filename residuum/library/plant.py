@@ -231,6 +231,8 @@ def _fits(model: MultivariableModel, record: Record) -> dict[str, float]:
     for name, predicted in simulated.items():
         y = record[name][memory:]
         error = y - predicted[memory:]
+        # Samples that are missing in an input or in the output predict nothing, or are not
+        # compared.
         good = np.isfinite(error)
         fits[name] = float(
             100 * (1 - np.linalg.norm(error[good]) / np.linalg.norm(y[good] - np.mean(y[good])))
@@ -497,6 +499,7 @@ class Plant(Result):
         """
         model = self.identified
         n = (
+            # As long as the impulse response: behind it a step's response stays where it is.
             model.delay + model.order
             if duration is None
             else max(2, round(duration / model.sample_time))
@@ -653,6 +656,7 @@ def identified(
     if asked.input is not None:
         plant = plant_tests(estimation, asked, asked.delay)
         check_stable(asked.method, plant, estimation[0].sample_time)
+    # An error model is of data that the fit has not seen, where a split note keeps some.
     model = with_uncertainty(identified_by(estimation, asked), held_out or estimation, asked)
     if plant is None:
         return Plant(model, asked.method, estimation, held_out)

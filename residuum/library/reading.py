@@ -145,8 +145,8 @@ def numbers(values: Any, where: str) -> npt.NDArray[np.float64]:
 # The time of a table (a DataFrame, a Dataset): instants, durations, seconds; never a count of its
 # rows.
 
-# Milliseconds since 1970 lie above it from March 1973 on, seconds not before the year 5138.
 # Above this a number is no second of our days, since 1970 or since a start.
+# Milliseconds since 1970 lie above it from March 1973 on, seconds not before the year 5138.
 _EPOCH = 1e11
 
 

@@ -163,6 +163,7 @@ def _text(
     colour: str = "#222",
 ) -> str:
     return (
+        # A channel's name comes from a file; unescaped it would be taken for elements of the page.
         f'<text x="{x:.0f}" y="{y:.0f}" text-anchor="{anchor}" font-weight="{weight}"'
         f' fill="{colour}">{escape(text)}</text>'
     )

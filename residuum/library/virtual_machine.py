@@ -14,8 +14,7 @@ from residuum.library.record import Record
 from residuum.nearest_names import known_names
 from residuum.simulation import MACHINES, BadSetting, Machine, Signals
 
-# Some 0.4 GB a channel.
-# Of a record that is simulated: it is held in memory as a whole.
+# Of a record that is simulated: it is held in memory as a whole, some 0.4 GB a channel.
 _MOST_SAMPLES = 50_000_000
 # What every machine takes. A question has fields for these; all others are the machine's own
 # settings.
@@ -110,6 +109,7 @@ def _settings(machine: type[Machine], given: dict[str, Any]) -> dict[str, Any]:
 
 
 def _typed(value: Any, like: Any, setting: str) -> Any:
+    # `bool` takes every text for true, `false` too.
     if isinstance(like, bool):
         if str(value).lower() not in ("true", "false"):
             raise BadInput(f"{setting} is {value!r}; must be true or false")

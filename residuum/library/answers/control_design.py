@@ -22,8 +22,8 @@ from residuum.robust_control.loop import weighted_loop
 
 # What a control design promises in time beside what is measured, for the console and the page.
 
-# The share that `in_time` holds a design to.
-# Share of the drawn plants that stay below what is told as reached.
+# Share of the drawn plants that stay below what is told as reached: that which `in_time` holds a
+# design to.
 _SHARE = 0.95
 
 

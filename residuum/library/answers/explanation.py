@@ -90,13 +90,11 @@ def _formula(signal: str, parameters: Mapping[str, Quantity]) -> str | None:
     )
 
 
-# Chosen. Advice that would tell nothing is not printed.
-# Power of an experiment below which it is no advice.
+# Power of an experiment below which it is no advice. Chosen.
 _WORTH_SAYING = 0.1
 # Candidates that are less probable are only named.
 _RULED_OUT = 0.005
-# Of a real arm the whole list filled a page.
-# Of what was not tried, so many are named.
+# Of what was not tried, so many are named: the whole list filled a page for a real arm.
 _TOLD = 6
 
 

@@ -92,7 +92,7 @@ class Question(BaseModel):
     """A question as a value, whoever asks it; its fields are declared by `field`."""
 
     # Frozen, for a question is handed on as a value. An unknown field is refused: one that was
-    # mistyped and passed over (`speed_rmp`) once had a broken bearing called healthy.
+    # mistyped and passed over (`speed_rmp`) once had a bearing called healthy.
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
     earlier: ClassVar[Mapping[str, Mapping[str, Any]]] = {}
@@ -108,6 +108,7 @@ class Question(BaseModel):
         try:
             return cls(**given)
         except ValidationError as error:
+            # The first alone: a refusal is one line in every door.
             raise refusal(error.errors()[0], cls.model_fields) from None
 
     @model_validator(mode="before")
