@@ -45,6 +45,7 @@ def njit(**options: Any) -> Callable[[Any], Any]:
     """
 
     def kept(function: Any) -> Any:
+        # Without the interpreter's lock: searches run simulations side by side in threads.
         loop = numba.njit(**{"nogil": True, **options})(function)
         loop._cache = _KeptLoop(function)
         return loop
@@ -108,6 +109,7 @@ class _Locator(InTreeCacheLocator):
         if not folder.is_dir():
             folder.mkdir(parents=True, exist_ok=True)
             _forget_oldest(versions)
+        # The time of a folder is that of its last use, by which the oldest goes.
         os.utime(folder)
         return str(folder)
 
