@@ -352,7 +352,10 @@ def write_mat(record: Record, path: str | Path) -> None:
     }
     content |= {f"units_{name}": unit for name, unit in record.units.items() if unit}
     scipy.io.savemat(
-        path, content | {"time": record.time[:, None], "units_time": "s"}, long_field_names=True
+        # With its unit, for steps of a second and more are refused where none is said.
+        path,
+        content | {"time": record.time[:, None], "units_time": "s"},
+        long_field_names=True,
     )
 
 

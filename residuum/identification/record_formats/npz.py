@@ -157,6 +157,7 @@ def _scalar(array: Any, name: str, path: str | Path) -> float:
 
 def _units(stored: Any, channels: dict[str, Any], path: str | Path) -> dict[str, str]:
     if stored is None:
+        # Plain arrays say no units, which is not to say that they are pure numbers.
         return dict.fromkeys(channels, "")
     try:
         units = json.loads(str(stored))
