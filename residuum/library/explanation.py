@@ -143,7 +143,7 @@ class Explanation(Result):
             "probability",
             Bars(names, [c.probability for c in shown], texts, 1.0),
         )
-        # Errors stand over that of the first candidate: without one there is nothing to be drawn.
+        # Without a candidate there is no error that one would leave.
         if not shown:
             return [probable]
         errors = [f"{c.error_before:.3g} → {c.error_after:.3g} {c.error_unit}" for c in shown]

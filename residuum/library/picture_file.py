@@ -116,7 +116,7 @@ def _bars(axes: Any, bars: Bars, label: str) -> None:
     places = np.arange(len(bars.values))
     drawn = axes.barh(places, list(bars.values), color=COLOURS[0])
     axes.set_yticks(places, list(bars.names), fontsize=8)
-    # Matplotlib counts upwards; the first candidate belongs on top.
+    # Matplotlib counts upwards; the first bar belongs on top.
     axes.invert_yaxis()
     axes.set_xlabel(label)
     if bars.texts:

@@ -231,8 +231,7 @@ def _fits(model: MultivariableModel, record: Record) -> dict[str, float]:
     for name, predicted in simulated.items():
         y = record[name][memory:]
         error = y - predicted[memory:]
-        # Samples that are missing in an input or in the output predict nothing, or are not
-        # compared.
+        # Missing samples of an input predict nothing, those of the output cannot be compared.
         good = np.isfinite(error)
         fits[name] = float(
             100 * (1 - np.linalg.norm(error[good]) / np.linalg.norm(y[good] - np.mean(y[good])))

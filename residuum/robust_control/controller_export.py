@@ -114,8 +114,8 @@ class DifferenceEquation:
         limits = [
             abs(limit) for limit in (self.lower, self.upper) if math.isfinite(limit) and limit != 0
         ]
-        # Twice what reaches the largest limit, so that the test sees the actuator saturate and come
-        # back.
+        # An error for which the controller wants twice the largest limit: the test sees the actuator
+        # saturate and come back.
         e = shape * (2.0 * max(limits) / wanted if limits and wanted > 0 else 1.0)
         return e, self.run(e)
 

@@ -351,11 +351,9 @@ def write_mat(record: Record, path: str | Path) -> None:
         name: np.asarray(signal)[:, None] for name, signal in record.channels.items()
     }
     content |= {f"units_{name}": unit for name, unit in record.units.items() if unit}
+    # With its unit, for times in steps of a second and more are refused where none is said.
     scipy.io.savemat(
-        # With its unit, for steps of a second and more are refused where none is said.
-        path,
-        content | {"time": record.time[:, None], "units_time": "s"},
-        long_field_names=True,
+        path, content | {"time": record.time[:, None], "units_time": "s"}, long_field_names=True
     )
 
 

@@ -64,7 +64,7 @@ def run_json(
     first = detection.first_alarm
     return {
         "threshold": detection.threshold,
-        # The statistic is a likelihood ratio.
+        # The statistic is a likelihood ratio, which has none.
         "threshold_unit": "",
         "threshold_kind": "posterior",
         "evaluation": "glr",
