@@ -191,6 +191,7 @@ class FmuModel(Model):
     ) -> list[npt.NDArray[np.float64]] | None:
         """How the inputs of each record move between samples, as its outputs speak for it."""
         columns = [(map or {}).get(name, name) for name in self.outputs]
+        # Where an output was not measured nothing speaks for a timing.
         if not self._described.inputs or not all(
             any(column in record.names for column in columns) for record in records
         ):

@@ -577,6 +577,7 @@ def from_xarray(
     'rad/s'
     """
     where = source or "Dataset"
+    # A DataArray has no variables by name: it becomes the one of a Dataset, under its own name.
     dataset = data.to_dataset() if not hasattr(data, "data_vars") else data
     if dim not in dataset.coords:
         raise BadRecord(

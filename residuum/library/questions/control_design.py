@@ -76,6 +76,7 @@ class DesignController(WeightQuestion):
     low_gain: float = field(
         120.0, "robust: l_g, gain of W_S at low frequency [dB].", only_with=(_ROBUST,), gt=0, le=400
     )
+    # Below −0.5 dB, the largest h_g that is sought (`RobustAim`).
     high_gain: float = field(
         -50.0,
         "robust: smallest h_g, gain of W_S at high frequency [dB].",

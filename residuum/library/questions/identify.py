@@ -62,6 +62,7 @@ class Identify(Question):
         choices=METHODS,
     )
     kernel: str = field("tc", "Prior of the impulse response.", choices=KERNELS)
+    # The longest is that of the kernel method.
     order: int | None = field(
         None,
         f"Length m of the impulse response (kernel: {LAGS}), or order of the model (others: by the"

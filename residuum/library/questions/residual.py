@@ -42,6 +42,7 @@ class RunResidual(Question):
     """What a residual design says of a record."""
 
     threshold: str = field("posterior", "Kind of threshold.", choices=get_args(ThresholdKind))
+    # At most one a second.
     false_alarms_per_day: float = field(
         1.0,
         "Number of false alarms a day that is accepted, for the posterior and the calibrated"

@@ -52,6 +52,7 @@ class Score(Question):
     )
     hertz: Frequencies = field(None, "Bearing: fault frequencies [Hz].", written=_FORM)
     method: str | None = field(None, _METHODS)
+    # At most one a second.
     false_alarms_per_day: float | None = field(
         None,
         "Number of false alarms a day that is accepted (model-based; robust-residual when it is"
