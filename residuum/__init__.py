@@ -111,6 +111,7 @@ def __getattr__(name: str) -> Any:
             f"module 'residuum' has no attribute {name!r}; {known_names(name, __all__, 'it has')}"
         )
     found = getattr(import_module(f"residuum.{_PLACE[name]}"), name)
+    # The next use meets it as any other name of the module.
     globals()[name] = found
     return found
 

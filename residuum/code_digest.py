@@ -9,6 +9,7 @@ from importlib import import_module
 from importlib.resources import files
 from importlib.resources.abc import Traversable
 
+# Sources, models and effects in YAML, CAN databases; what is compiled or cached follows from them.
 _MADE_OF = (".py", ".yaml", ".dbc")
 
 
@@ -41,9 +42,11 @@ def code_digest(package: str) -> str:
 
 
 def _add(digest: hashlib._Hash, folder: Traversable, place: str) -> None:
+    # A folder is listed in no order, on which the digest must not hang.
     for entry in sorted(folder.iterdir(), key=lambda child: child.name):
         inside = f"{place}/{entry.name}"
         if entry.is_dir():
             _add(digest, entry, inside)
         elif entry.name.endswith(_MADE_OF):
+            # With its place: two files that exchange their contents are other code.
             digest.update(inside.encode() + b"\0" + entry.read_bytes())

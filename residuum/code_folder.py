@@ -46,15 +46,19 @@ def _found(name: str, chosen: str | None) -> tuple[Path, str | None]:
     """The folder, and why it is one that nothing is kept in."""
     why = "no folder can be written"
     ours = Path(chosen) if chosen else Path.home() / ".cache" / "residuum"
+    # The user's own folder first, the temporary ones where that cannot be written.
     for place in (Path(tempfile.gettempdir()) / f"residuum-{os.getuid()}", ours)[::-1]:
         folder = (place / name).absolute()
         try:
             _make_closed(folder)
             wrong = why_not_private(folder)
             if wrong is not None:
+                # No other place is tried: the warning is to name the one that is wrong.
                 why = wrong
                 break
+            # It may be there already, made under another umask.
             folder.chmod(0o700)
+            # A folder of a full or read-only disk is there as well, and takes no file.
             tempfile.TemporaryFile(dir=folder).close()
             return folder, None
         except OSError:
@@ -92,6 +96,7 @@ def why_not_private(folder: Path) -> str | None:
         status = above.stat()
         if status.st_uid not in (0, os.getuid()):
             return f"{folder} lies in {above}, which belongs to another user"
+        # Where the sticky bit is set (/tmp) others may write, but not exchange what is ours.
         if status.st_mode & _OTHERS_WRITE and not status.st_mode & stat.S_ISVTX:
             return f"{folder} lies in {above}, in which others may write"
     return None

@@ -32,10 +32,8 @@ _IMPORT = re.compile(
     r"^\s*(?:from (residuum[\w.]*) import (\([^)]*\)|.*)|import (residuum[\w.]*))", re.MULTILINE
 )
 _NAME = re.compile(r"\w+")
+# Versions of a file whose loops stay compiled: the installed one, and checkouts beside it. Chosen.
 _KEPT = 4
-"""Versions of a file whose loops stay compiled: the installed one, and checkouts beside it.
-Chosen.
-"""
 
 
 def njit(**options: Any) -> Callable[[Any], Any]:
@@ -47,6 +45,7 @@ def njit(**options: Any) -> Callable[[Any], Any]:
     """
 
     def kept(function: Any) -> Any:
+        # Without the interpreter's lock: searches run simulations side by side in threads.
         loop = numba.njit(**{"nogil": True, **options})(function)
         loop._cache = _KeptLoop(function)
         return loop
@@ -110,6 +109,7 @@ class _Locator(InTreeCacheLocator):
         if not folder.is_dir():
             folder.mkdir(parents=True, exist_ok=True)
             _forget_oldest(versions)
+        # The time of a folder is that of its last use, by which the oldest goes.
         os.utime(folder)
         return str(folder)
 

@@ -38,6 +38,7 @@ class LateMembers(MutableMapping[str, T], Generic[T]):
 
     def __delitem__(self, name: str) -> None:
         del self._loaded[name]
+        # A member that was taken out must not be loaded again at the next question.
         self._places.pop(name, None)
 
     def __contains__(self, name: object) -> bool:

@@ -5,10 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterable
 from difflib import get_close_matches
 
+# Share of letters that a name has in common with what was written, from which it may have been
+# meant (difflib's own).
 _LIKE = 0.6
-"""Share of letters that a name has in common with what was written, from which it may have been
-meant (difflib's own).
-"""
 
 
 def nearest_names(

@@ -43,6 +43,8 @@ _FREQUENCY = _base(second=-1)
 _TIME, _LENGTH, _MASS, _ANGLE = _base(second=1), _base(meter=1), _base(kilogram=1), _base(radian=1)
 _CURRENT, _TEMPERATURE = _base(ampere=1), _base(kelvin=1)
 
+# By the registry's name, where `unit_spellings` gives that and not the symbol. Factors stand to the
+# last digit that pint has (2π, π/180), for a test compares them.
 _LISTED = (
     *(("percent", NamedUnit("%", 0.01, ())), ("delta_degC", NamedUnit("Δ°C", 1.0, _TEMPERATURE))),
     *(

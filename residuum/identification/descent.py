@@ -7,6 +7,8 @@ from __future__ import annotations
 from enum import Enum
 from typing import Generic, NamedTuple, Protocol, TypeVar
 
+# With these SciPy's bounded `least_squares` takes 1.1 to 3.3 times as long to the same minima
+# (docs/decisions/0017-one-descent.md).
 FIRST_DAMPING, LEAST_DAMPING = 1e-3, 1e-12  # fractions of the diagonal of JᵀJ
 HARDER, SOFTER = 6.0, 10.0  # factors of the damping after a refused and an accepted step
 ATTEMPTS = 12

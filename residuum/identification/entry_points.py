@@ -15,6 +15,8 @@ def from_entry_points(group: str) -> Iterator[Any]:
     for point in entry_points(group=group):
         try:
             yield point.load()
+        # Whatever another package raises at its import: it must not end a command that does not
+        # need it.
         except Exception as error:
             warnings.warn(
                 f"entry point {point.name!r} of {group}: cannot be loaded ({error})",

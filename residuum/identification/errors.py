@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterable, Mapping
 from contextvars import ContextVar
 from typing import Any
 
+# Characters: some libraries repeat a whole file in what they say.
 _LONGEST = 200
 
 MAY_DIVERGE = "check the signs of its terms, their units and the start values"
@@ -35,6 +36,7 @@ perhaps when it would.
 
 def as_keyword(field: str, value: object = None) -> str:
     """A field as it is said in Python."""
+    # In capitals stands what only the caller knows, `SECONDS`: no text to be quoted.
     return field if value is None else f"{field}={value if str(value).isupper() else repr(value)}"
 
 
@@ -70,6 +72,7 @@ def as_texts(field: str, value: object) -> list[str]:
     >>> as_texts("missing", ["OL", "1,5"]), as_texts("names", ["n", "m"])
     (['OL', '1,5'], ['n,m'])
     """
+    # A cell that means no value may hold a comma itself.
     apart = field == "missing" and isinstance(value, list | tuple)
     return list(map(str, value)) if apart else [as_text(value)]  # type: ignore[call-overload]
 
@@ -100,6 +103,7 @@ class BadInput(ValueError):
         self, what: str, where: str = "", rule: str = "", *, way_on: Iterable[Way] = ()
     ) -> None:
         self.what, self.where, self.rule, self.way_on = what, where, rule, tuple(way_on)
+        # The parts, not a sentence: its words are those of the door that tells it.
         super().__init__(what, where, rule)
 
     def __str__(self) -> str:

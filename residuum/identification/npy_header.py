@@ -13,6 +13,7 @@ import numpy as np
 
 LONGEST_HEADER = 1024
 """Bytes of a header's text that are read at most."""
+# Version 3 is for names of fields in UTF-8, which a plain array has not.
 _READERS = {1: np.lib.format.read_array_header_1_0, 2: np.lib.format.read_array_header_2_0}
 
 
@@ -83,6 +84,7 @@ def _parsed(head: bytes) -> NpyHeader:
     # …
     except Exception as error:
         raise NotNpy(f".npy header {head[10:90]!r}: only plain arrays are read") from error
+    # NumPy reads a negative length, of which the product of two would pass for a size.
     if min(shape, default=0) < 0:
         raise NotNpy(
             f".npy header {head[10:90]!r}: only plain arrays are read, and no shape is negative"

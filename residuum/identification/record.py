@@ -77,6 +77,7 @@ class Record:
         if not np.isfinite(self.t0):
             raise BadRecord(f"{where}: t0 is {self.t0!r}; must be finite")
         signals = self._checked_signals(where)
+        # PostgreSQL takes no NUL in a text, and answered a stored record with an internal error.
         if nul := [
             text for text in (*self.channels, *self.units.values(), *self.notes) if "\x00" in text
         ]:
@@ -84,6 +85,7 @@ class Record:
                 f"{where}: {nul[0][:60]!r} holds the character NUL, which no database keeps"
             )
         units = self._checked_units(where)
+        # The mappings as well: a frozen dataclass holds only its own names fast.
         object.__setattr__(self, "channels", MappingProxyType(signals))
         object.__setattr__(self, "units", MappingProxyType(units))
         object.__setattr__(self, "notes", tuple(self.notes))
@@ -274,6 +276,7 @@ class Record:
             raise BadRecord(
                 f"record {self.source!r}: renaming {dict(names)} makes two channels of one name"
             )
+        # Refuses, by its name, a channel that there is not.
         for name in names:
             self[name]
         channels = dict(zip(new, self.channels.values(), strict=True))
@@ -338,6 +341,7 @@ def _fraction(text: str) -> float:
     try:
         value = float(text)
     except ValueError:
+        # Lies between no numbers, and so is refused below in the same words.
         value = float("nan")
     if not 0 < value < 1:
         raise BadRecord(f"note 'split: {text.strip()}': must be a number between 0 and 1")

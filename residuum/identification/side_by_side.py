@@ -29,6 +29,7 @@ def beside(function: Callable[[], R]) -> Callable[[], R]:
     """
     part = begun().part()
     pool = ThreadPoolExecutor(1)
+    # In a copy of the context, so that the words of a refusal are those of the door that asked.
     running = pool.submit(copy_context().run, _counted, part, function)
     pool.shutdown(wait=False)  # the thread ends with its piece; nothing else is given to it
 
@@ -61,6 +62,7 @@ def each_beside(function: Callable[[T], R], items: Sequence[T]) -> list[R]:
     with ThreadPoolExecutor(min(MOST_THREADS, os.cpu_count() or 1, len(items))) as pool:
         for begin in range(0, len(items), BEGUN_AT_ONCE):
             whole, several = begun(), items[begin : begin + BEGUN_AT_ONCE]
+            # Counts of their own, added in order below: no thread writes into another's.
             parts = [whole.part() for _ in several]
             running = [
                 pool.submit(copy_context().run, _counted, part, lambda item=item: function(item))

@@ -51,6 +51,7 @@ def _named(word: str) -> NamedUnit:
         return _of_registry(word)
     if not _WORD.fullmatch(word):
         raise BadUnit(f"unit {word!r}: not a known unit")
+    # A base unit of its own: the registry would read `pH` as a picohenry, and convert it.
     own = f"own_{word}" if _is_known(word) else word
     return NamedUnit(own, 1.0, ((own, 1.0),))
 
@@ -138,6 +139,7 @@ class _Reader:
             raise self._refusal(f"more than {DEEPEST} parentheses inside each other")
         factors, sign = self._factor(depth), 1.0
         while (token := self._next()) is not None and token != ")":
+            # A sign holds for the one factor behind it: J/kg*K is J·K/kg.
             if token in ("*", "/", "per"):
                 sign = 1.0 if token == "*" else -1.0
                 self._place += 1
@@ -172,6 +174,8 @@ class _Reader:
             number = self._number()
             if self._next() == "/":
                 self._place += 1
+                # A division by zero is NaN, which the bound below refuses, being no smaller than
+                # it.
                 number /= self._number() or float("nan")
             self._expect(")")
         elif token in ("-", "+"):

@@ -8,6 +8,8 @@ from __future__ import annotations
 
 import re
 
+# Signs that look alike and are several characters: the ohm and the omega, the micro and the mu, the
+# minus and the hyphen.
 _SAME = str.maketrans(
     {
         **{
@@ -29,9 +31,11 @@ _SAME = str.maketrans(
 _POWER = re.compile(
     r"(?<![A-Za-z_\d.])([A-Za-zµ]{1,4})\s?(?:\^|\*\*)?(?:\((-?[1-9])\)|(-?[1-9]))(?![\dA-Za-z.*])"
 )
+# `N.m`: a point between letters multiplies
 _DOT = re.compile(r"(?<=[A-Za-z])\.(?=[A-Za-z])")
 # a force and a length that are written as one word: `Nm`, `kNm`, `Ncm`
 _JOINED = re.compile(r"(?<![A-Za-zµ])((?:da|[kMmµ])?N)(m{1,2}|cm)(?![A-Za-z0-9])")
+# behind a stroke both factors divide: `V/Nm`
 _BELOW = re.compile(r"/" + _JOINED.pattern)
 # what says behind a unit that a value is an effective one: the unit is the same
 _EFFECTIVE = re.compile(r"(?<=[A-Za-zµ²)\d])(?:[_ ](?:rms|RMS)|[_ ]?\((?:rms|RMS)\))$")
@@ -47,6 +51,7 @@ def _each(words: str, meant: str) -> dict[str, str]:
 _WHOLE = {
     **_each("1 - -- none unitless dimensionless raw bool boolean count", "dimensionless"),
     **_each(
+        # A `C` alone is a temperature, but where it is held against a charge (`units.compatible`).
         "C °C degC DegC °Celsius oC Cel celsius Celsius deg_C deg.C Deg_C deg._C degree_C degrees_C"
         " degree_Celsius",
         "degC",
@@ -58,6 +63,7 @@ _WHOLE = {
     **_each('" in. inches Zoll zoll', "inch"),
     **_each("g gn G g_n g0 g's gs G's grms gRMS Grms GRMS", "standard_gravity"),
     **_each(
+        # A logger's `1/min` is a speed of rotation; the registry reads a frequency.
         "RPM Rpm r.p.m. rev/min revs/min r/min U/min Upm UPM upm tr/min 1/min /min min**-1"
         " rev*min**-1",
         "revolution/minute",
@@ -80,6 +86,8 @@ _WHOLE = {
     **_each("ppm PPM ppmv µε µstrain ustrain um/m µm/m", "ppm"),
     **_each("ppb PPB ppbv", "ppm*permille"),
     **_each("‰ promille Promille permille", "permille"),
+    # Gauge and absolute pressures have one unit. Nothing is added from one to the other: no unit
+    # says the pressure of the air.
     **_each("bar(g) bar(a) bar_g bar_a barg bara BAR Bar bar_(g) bar_(a) bar_abs bar_rel", "bar"),
     **_each("kg/cm**2 kgf/cm**2 kp/cm**2 at", "technical_atmosphere"),
     **_each("mb mbar hPa mBar millibar", "mbar"),
@@ -87,6 +95,7 @@ _WHOLE = {
     **_each("kPa(g) kPa(a) kPag kPaa kpa KPa KPA", "kPa"),
     **_each("Mpa MPA", "MPa"),
     **_each("inH2O inH20 inWC inwc inH2O(g) in_H2O in.H2O in*H2O in_WC", "inch_H2O"),
+    # 1000 kg/m³ · g of a column of water, for each metre
     **_each("mH2O mWS mWC mCE", "t*g_0/m**2"),
     **_each("ubar µbar microbar", "dPa"),
     **_each("ksi KSI", "ksi"),
@@ -96,6 +105,7 @@ _WHOLE = {
     **_each("Torr torr", "torr"),
     **_each("mmH2O mm_H2O mmWS mmWC", "mmH2O"),
     **_each(
+        # Standard and norm litres count as litres: which norm is meant no unit says.
         "lpm LPM slpm l/mn Nl/min NL/min Nlpm nlpm NLPM Sl/min SLM slm SLPM ln/min l_n/min",
         "liter/minute",
     ),
@@ -253,9 +263,11 @@ def canonical(text: str) -> str:
     ('m/s**2', 'N*m', 'revolution/minute', 'kohm', 'oil level')
     """
     plain = _EFFECTIVE.sub("", _BLANK.sub(" ", text.translate(_SAME)).strip())
+    # Whole texts before words are parted: `Nm3/h` is a flow of gas, not newtons times metres.
     for spelled in (plain, _powers(plain)):
         if (whole := _WHOLE.get(spelled.replace(" ", "_"))) is not None:
             return whole
+    # A temperature that is still here is part of a product, and there a difference.
     plain = _JOINED.sub(r"\1*\2", _BELOW.sub(r"/\1/\2", _powers(plain))).replace("°C", "delta_degC")
     if whole := _WHOLE.get(plain.replace(" ", "_")):
         return whole

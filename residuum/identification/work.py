@@ -135,6 +135,7 @@ def at_most(effort: float = float("inf"), seconds: float | None = None) -> Itera
         with counted_as(part):
             yield part
     finally:
+        # Where the work ended early, too: what was done is done.
         whole.take(part)
 
 
@@ -163,6 +164,7 @@ def go_on() -> None:
         return
     if work.effort > work.most:
         raise OutOfWork
+    # The clock is asked only where a user set a time: no other answer may hang on it.
     if work.ends < float("inf") and time.perf_counter() > work.ends:
         work.timed_out = True
         raise OutOfWork

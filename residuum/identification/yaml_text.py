@@ -33,6 +33,7 @@ class PlainNumbers(FASTEST):
     def construct_plain(self, node: yaml.ScalarNode) -> Any:
         """The scalar; ConstructorError with the line where it is such a number."""
         text = node.value
+        # Of plain scalars alone: what is quoted is meant as it stands.
         if not node.style and _LEADING_ZERO.fullmatch(text):
             digits = text.lstrip("+-0_") or "0"
             says = (
@@ -74,6 +75,7 @@ def read_yaml(
         return yaml.load(short_text(file), Loader=loader)
     except OSError as error:
         raise refused(f"{file}: cannot be read: {error.strerror}") from None
+    # PyYAML raises ValueError of a day that there is not, Python of bytes that are no UTF-8.
     except (yaml.YAMLError, ValueError) as error:
         raise refused(f"{file}: is not YAML: {what_is_wrong(error)}") from None
 

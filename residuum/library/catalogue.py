@@ -97,6 +97,7 @@ class Catalogue(Mapping[str, Effect]):
         residuum.identification.errors.BadModel: ...
         """
         added = read_effects(Path(path))
+        # Read whole before anything is added: a file with a fault adds nothing.
         for effect in added:
             EFFECTS.add(effect)
         return [effect.id for effect in added]

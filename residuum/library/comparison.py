@@ -93,6 +93,8 @@ class Comparison(Result):
         names = list(self.found.model.outputs)
         panels = []
         for output in outputs:
+            # Columns of a simulation follow the model's outputs, of which not all are in every
+            # record.
             k = names.index(output.name)
             curves = [
                 Curve("measured", time, experiment.Y[:, k]),

@@ -44,8 +44,8 @@ from residuum.robust_control.weights.performance_weight import Infeasible
 
 __all__ = ["Controller", "Infeasible", "design"]
 
+# Drawn plants whose steps are drawn as a range.
 _SHOWN_PLANTS = 20
-"""Drawn plants whose steps are drawn as a range."""
 _NO_LIMITS = (-math.inf, math.inf)
 
 
@@ -93,6 +93,7 @@ class Controller(Result):
         synthesis = self.found.chosen.design
         return dict(zip(synthesis.structure.names, synthesis.rho.tolist(), strict=True))
 
+    # Hundreds of plants are followed for it, and text, JSON and picture each ask.
     @cached_property
     def measured(self) -> Measured:
         """Step responses of the nominal loop, and of 200 or more plants drawn from their
@@ -250,6 +251,7 @@ class Controller(Result):
             self.problem.horizon,
             3.0 * float(np.median([figure.settling_time for figure in self.figures])),
         )
+        # Plants that never settle have no settling time by which to choose the picture's end.
         duration = duration if math.isfinite(duration) and duration > 0 else self.problem.horizon
         nominal = self._step(self.problem.plant, duration)
         drawn = np.array(
@@ -259,6 +261,7 @@ class Controller(Result):
             ]
         )
         time = float(self.problem.plant.sample_time or 1.0) * np.arange(len(nominal))
+        # A range, not a band of chance: the lowest and highest of the drawn plants at each instant.
         curve = Curve("closed loop", time, nominal, drawn.min(axis=0), drawn.max(axis=0))
         return Picture(
             [Panel("step of the reference, and plants drawn", "time [s]", "output", [curve])]

@@ -150,6 +150,7 @@ def _pieces(experiments: Sequence[Experiment], asked: Asked) -> Sequence[Experim
 def _estimation_part(experiment: Experiment, record: Record) -> Experiment:
     if record.split is None:
         return experiment
+    # A part of one sample has no error beside its own initial state.
     return experiment.window(0, max(2, round(record.split * experiment.n)))
 
 

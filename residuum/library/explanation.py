@@ -26,12 +26,12 @@ from residuum.library.result import Result, Row
 if TYPE_CHECKING:
     import pandas
 
+# Candidates whose probabilities are drawn.
 _SHOWN = 8
-"""Candidates whose probabilities are drawn."""
+# Candidates whose curves are drawn beside one another.
 _COMPARED = 3
-"""Candidates whose curves are drawn beside one another."""
+# Bins of the signal that the missing term is drawn over.
 _BINS = 40
-"""Bins of the signal that the missing term is drawn over."""
 
 
 def _physical(axes: Sequence[Axis]) -> Sequence[Axis]:
@@ -143,9 +143,11 @@ class Explanation(Result):
             "probability",
             Bars(names, [c.probability for c in shown], texts, 1.0),
         )
+        # Without a candidate there is no error that one would leave.
         if not shown:
             return [probable]
         errors = [f"{c.error_before:.3g} → {c.error_after:.3g} {c.error_unit}" for c in shown]
+        # An error of zero, where a model meets its record exactly, has no share that is left.
         left = [
             100.0 * c.error_after / c.error_before if c.error_before > 0 else 100.0 for c in shown
         ]

@@ -70,6 +70,7 @@ class Finding(Result):
         judged = {
             n: v / self.found.thresholds[n]
             for n, v in self.found.indicators.items()
+            # An indicator without a threshold, or with one of 0, is no multiple of it.
             if self.found.thresholds.get(n)
         }
         texts = [f"{value:.2f} of its threshold" for value in judged.values()]

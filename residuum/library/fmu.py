@@ -113,6 +113,8 @@ class FmuModel(Model):
         self._described, self._values = described, dict(values)
         self._library: LoadedLibrary | None = None
         self._own: OwnSimulation | None = None
+        # With states that can be read and set effects act in balances; any other FMU is simulated
+        # along a record, and effects are judged on the paths of its outputs.
         if is_exchangeable(described):
             self._library = _loaded(self._instance)
             self._library.settle(self._set)
@@ -157,6 +159,8 @@ class FmuModel(Model):
 
     @property
     def _instance(self) -> Instance:
+        # The time of the file's last change is part of the key: an FMU that was written anew is
+        # loaded anew, one that was not is loaded once for all records.
         path = Path(self._described.path)
         return _instance(str(path), path.stat().st_mtime_ns)
 
@@ -187,6 +191,7 @@ class FmuModel(Model):
     ) -> list[npt.NDArray[np.float64]] | None:
         """How the inputs of each record move between samples, as its outputs speak for it."""
         columns = [(map or {}).get(name, name) for name in self.outputs]
+        # Where an output was not measured nothing speaks for a timing.
         if not self._described.inputs or not all(
             any(column in record.names for column in columns) for record in records
         ):

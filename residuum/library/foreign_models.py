@@ -59,6 +59,7 @@ def linear_model(
     )
 
     matrices, sample_time = of_object(system)
+    # By the text of a model file, which says and refuses the same as one that a user writes.
     return model(linear_text(name, matrices, LinearSignals(inputs, outputs, units), sample_time))
 
 

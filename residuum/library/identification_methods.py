@@ -35,10 +35,10 @@ from residuum.library.questions.identify import LAGS, Identify
 
 NOISE_MODELLED = ("arx", "armax", "bj")
 """Methods whose noise model makes them right in a closed loop."""
+# Delays that are always tried, and how far beyond where the input acts for certain.
 _LONGEST_DELAY, _DELAYS_BEYOND = 20, 5
-"""Delays that are always tried, and how far beyond where the input acts for certain."""
+# Delays at most that are compared by fits where the input answers the output.
 _DELAYS_IN_A_LOOP = 8
-"""Delays at most that are compared by fits where the input answers the output."""
 _NO_DELAY_ZERO = (
     "delay 0 was left out of the estimate: a plant that answers within the sample looks like a"
     " loop; give `delay` 0 if it is one"
@@ -180,6 +180,7 @@ def _parametric(
                 (fitted(records, asked, delay) for delay in delays), key=_criterion_a_sample
             )
             return replace(best_model, warnings=(*best_model.warnings, _NO_DELAY_ZERO))
+        # A time series has no input that could come late.
         return fitted(
             records, asked, _delay(records, asked) if STRUCTURES[structure].has_input else 1
         )

@@ -212,6 +212,7 @@ class Estimation(Result, Generic[M]):
         time = experiment.t0 + experiment.sample_time * np.arange(experiment.n)
         panels = []
         for k, output in enumerate(self.found.model.outputs.values()):
+            # An output that the record lacks has nothing to be drawn beside.
             if experiment.measured[k]:
                 measured, model = (
                     Curve("measured", time, experiment.Y[:, k]),

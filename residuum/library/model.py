@@ -50,6 +50,7 @@ class DescribedModel:
 
     def __init__(self, physical: PhysicalModel, given: str | None = None) -> None:
         self.physical = physical
+        # Answers name the model as the user did: one read from a file by the file's path.
         self._given = physical.name if given is None else given
 
     @property
@@ -380,9 +381,11 @@ class Model(DescribedModel):
         from residuum.library.explanation import Explanation  # noqa: PLC0415
 
         asked = Explain.of(given)
+        # Before anything looks into the catalogue: the user's own effects are candidates, too.
         asked.use_own()
         measured = self._measured(records, map)
         with progress_shown(progress) as tell:
+            # Compiled first, and told: a first explanation after an installation waits for it.
             ensure_compiled(tell)
             searching = partial(
                 explain,
@@ -393,6 +396,8 @@ class Model(DescribedModel):
             )
             explanation = asked.handed_to(searching)
             tell(0.9, "comparing")
+            # With odd readings still in: `compare` leaves them out by itself, and its answer names
+            # them.
             compared = self._compared(measured, map, Compare())
         return Explanation(compared, explanation)
 
@@ -437,11 +442,15 @@ class Model(DescribedModel):
         from residuum.library.improvement import Improvement  # noqa: PLC0415
 
         asked = Improve.of(given)
+        # Before anything looks into the catalogue: the user's own effects are candidates, too.
         asked.use_own()
         measured, left_out = self._sensed(self._measured(records, map), map)
         with progress_shown(progress) as tell:
+            # Compiled first, and told: a first explanation after an installation waits for it.
             ensure_compiled(tell)
             improved = asked.handed_to(partial(improve, self.physical, measured, map, tell=tell))
+        # The model as it was given: warnings are of its first values and tables, not of the
+        # improved one.
         matched = match(self.physical, measured, map)
         return Improvement(
             self._changed(improved.model),
@@ -543,6 +552,7 @@ class Model(DescribedModel):
             for name, unit in self.outputs.items()
             if columns.get(name, name) not in record.names
         }
+        # Matching asks for a column of each output, which a record of inputs alone has not.
         blank = np.zeros(record.n)
         filled = MeasuredRecord(
             {**record.channels, **dict.fromkeys(lacking, blank)},
@@ -552,6 +562,8 @@ class Model(DescribedModel):
             source=record.source,
         )
         matched, (experiment,) = match(self.physical, [filled], map)
+        # First states are estimated from the outputs that were measured: from the record as it is,
+        # for the zeros above would be taken for measurements.
         if initial is None and len(lacking) < len(self.outputs):
             matched, experiments = match(self.physical, [record], map)
             Y = estimate(matched, experiments, free=()).predicted[0]

@@ -45,21 +45,21 @@ from residuum.identification.record import Record
 from residuum.library.identification_methods import NOISE_MODELLED, identified_by
 from residuum.library.questions.identify import LAGS, Identify
 
+# Fit on data kept aside [%] below which a model that nothing is said against gets a remark.
 _POOR_FIT = 50.0
-"""Fit on data kept aside [%] below which a model that nothing is said against gets a remark."""
+# Methods whose poles may lie outside the unit circle, and whose predictor is stable there.
 _MAY_BE_UNSTABLE = ("arx", "armax", "ar")
-"""Methods whose poles may lie outside the unit circle, and whose predictor is stable there."""
+# How the sentence begins, by which the model's own warning of the same is known below.
 _EXCITES = "the input is persistently exciting"
+# Share of the static gain that the model may put later than the records go on.
 _NOT_OVER = 0.05
-"""Share of the static gain that the model may put later than the records go on."""
+# Samples that the fit of the first part sees, that are judged after it, and of the past at least
+# that the judged ones are simulated from.
 _MOST_REFITTED, _MOST_JUDGED, _BEFORE = 20_000, 8_000, 1000
-"""Samples that the fit of the first part sees, that are judged after it, and of the past at least
-that the judged ones are simulated from.
-"""
+# Directions that a record has to tell for a response without an order to be more than its prior.
 _FEW = 6
-"""Directions that a record has to tell for a response without an order to be more than its
-prior.
-"""
+# Designs are for stable plants. A loop that holds an unstable or integrating one is a stable plant,
+# seen from its set point.
 _ANOTHER_RECORD = (
     "for a controller record steps of the set point of a loop that holds it (a proportional one is"
     " enough), and identify from set point to output"
@@ -103,6 +103,7 @@ class Assumptions:
     @property
     def tells_model(self) -> bool:
         """Whether the input excites to the order that the model needs."""
+        # The test finds no order above its number of lags.
         return self.excitation is None or self.excitation.order >= min(
             self.needed, self.excitation.lags
         )
@@ -364,6 +365,8 @@ def plant_tests(records: Sequence[Record], asked: Identify, delay: int | None) -
             )
             dead = dead_time(longer)
     except BadInput:
+        # Records too short for the tests may still do for a model: nothing is known then, and
+        # nothing said.
         return PlantTests(first_lag)
     return PlantTests(
         first_lag,
@@ -526,6 +529,7 @@ def model_check(
         try:
             checks.append(residual_check(part.model, part.record, part.first))
         except BadInput as error:
+            # What cannot be tested is told, and neither withholds the model nor counts as passed.
             reasons.append(f"residuals: {error}")
     bootstrap = None
     try:

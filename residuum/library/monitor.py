@@ -33,6 +33,7 @@ if TYPE_CHECKING:
 
 MODEL_BASED = "model-based"
 """The diagnoser that a model asks for, where there is one."""
+# A faulty output decides, whatever the others say; one that cannot be judged is not healthy.
 _WORST_FIRST = (Verdict.FAULTY, Verdict.NOT_ASSESSABLE, Verdict.HEALTHY)
 
 
@@ -82,6 +83,8 @@ class Monitor(OutlierMixin, BaseEstimator):
         map: Mapped = None,
         settings: Mapping[str, Any] | None = None,
     ) -> None:
+        # As given and unchecked: scikit-learn copies an estimator by the keywords that it was made
+        # with.
         self.source, self.diagnoser, self.map, self.settings = source, diagnoser, map, settings
 
     def fit(self, X: Records, y: Sequence[str] | None = None) -> Self:
@@ -116,6 +119,7 @@ class Monitor(OutlierMixin, BaseEstimator):
         trained = self._untrained().fit(
             self._records(X), None if y is None else [str(label) for label in y]
         )
+        # The underscore behind the name is scikit-learn's mark of what `fit` has learned.
         self.diagnoser_: Diagnoser | PhysicalResidual = trained
         return self
 
@@ -201,6 +205,7 @@ class Monitor(OutlierMixin, BaseEstimator):
         >>> monitor.predict(windows).tolist()
         [1, -1]
         """
+        # 1 and −1 are scikit-learn's; it has no word for a window that cannot be judged.
         says = {Verdict.HEALTHY: 1, Verdict.FAULTY: -1, Verdict.NOT_ASSESSABLE: 0}
         return np.array(
             [says[finding.found.verdict] for finding in self.findings(X)], dtype=np.int64
@@ -257,6 +262,7 @@ class Monitor(OutlierMixin, BaseEstimator):
         >>> (monitor.decision_function(windows) < 0).tolist()
         [False, True]
         """
+        # At its threshold an indicator is 1 of it: below 0 is an outlier, as scikit-learn has it.
         return self.score_samples(X) + 1.0
 
     def indicators(self, X: Records) -> pandas.DataFrame:
@@ -415,6 +421,7 @@ def load_monitor(diagnoser: str, path: str | PathLike[str]) -> Monitor:
 
 
 def _largest(finding: Judged) -> float:
+    # Any number would pass for a judgement.
     if finding.verdict is Verdict.NOT_ASSESSABLE:
         return math.nan
     # A threshold of 0 has no multiple.
@@ -451,6 +458,7 @@ class PhysicalResidual:
         BadRecord
             No output of the model is in every record.
         """
+        # An output that some record lacks has no healthy noise to be learned from there.
         measured = [
             name for name in self.model.outputs if all(name in record.names for record in records)
         ]

@@ -8,6 +8,7 @@ from typing import Any
 from residuum.identification.errors import BadInput
 
 
+# Both classes, for code that tries an import and for doors that print a refusal.
 class MissingPackage(BadInput, ImportError):
     """An optional package is not installed; the message says what needs it and how to get it.
 
@@ -34,6 +35,7 @@ def need(package: str, purpose: str, extra: str = "notebook") -> Any:
     try:
         return import_module(package)
     except ImportError:
+        # Of `matplotlib.figure` the part that pip knows.
         name = package.split(".", maxsplit=1)[0]
         raise MissingPackage(
             f"{purpose} needs the package {name!r}: pip install 'residuum[{extra}]'"

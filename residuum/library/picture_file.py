@@ -20,10 +20,10 @@ from residuum.library.whole_file import write_whole
 from residuum.nearest_names import known_names
 
 ENDINGS = (".png", ".html")
+# Of an image, of a panel in it, and what each bar adds to that [inch].
 _WIDTH, _HEIGHT, _PER_BAR = 9.0, 2.6, 0.28
-"""Of an image, of a panel in it, and what each bar adds to that [inch]."""
+# Dots an inch.
 _DOTS = 120
-"""Dots an inch."""
 
 
 def check_picture_file(path: Path) -> None:
@@ -57,12 +57,15 @@ def write_picture(picture: Picture, path: Path, title: str) -> None:
         As `check_picture_file` says; a folder that does not exist.
     """
     check_picture_file(path)
+    # By Matplotlib: for an image Plotly needs a whole browser.
     if path.suffix.lower() == ".png":
         write_whole(path, _png(picture))
         return
     drawn = figure(picture)
     drawn.update_layout(title={"text": escape(title)}, margin={"t": 90, "b": 50})
+    # Plotly's script is inside: the page has to open where there is no network.
     page: str = drawn.to_html(full_html=True, include_plotlyjs=True)
+    # Plotly gives its page no title; the text holds a user's names, hence the escape.
     write_whole(path, page.replace("<head>", f"<head><title>{escape(title)}</title>", 1))
 
 
@@ -113,6 +116,7 @@ def _bars(axes: Any, bars: Bars, label: str) -> None:
     places = np.arange(len(bars.values))
     drawn = axes.barh(places, list(bars.values), color=COLOURS[0])
     axes.set_yticks(places, list(bars.names), fontsize=8)
+    # Matplotlib counts upwards; the first bar belongs on top.
     axes.invert_yaxis()
     axes.set_xlabel(label)
     if bars.texts:

@@ -51,8 +51,8 @@ from residuum.library.whole_file import write_whole
 
 # Linear models of several inputs and outputs, as an answer.
 
+# Standard deviations of a 95 % band.
 _BAND = 1.96
-"""Standard deviations of a 95 % band."""
 
 
 def _gain_std(path: IdentifiedModel) -> float:
@@ -215,6 +215,7 @@ def multivariable_plant(
         asked.outputs,
         kernel=asked.kernel,
         order=LAGS if asked.order is None else asked.order,
+        # Delays are estimated for a single path alone.
         delay=1 if asked.delay is None else asked.delay,
         noise_variance=asked.noise_variance,
         offset=asked.offset,
@@ -230,6 +231,7 @@ def _fits(model: MultivariableModel, record: Record) -> dict[str, float]:
     for name, predicted in simulated.items():
         y = record[name][memory:]
         error = y - predicted[memory:]
+        # Missing samples of an input predict nothing, those of the output cannot be compared.
         good = np.isfinite(error)
         fits[name] = float(
             100 * (1 - np.linalg.norm(error[good]) / np.linalg.norm(y[good] - np.mean(y[good])))
@@ -240,9 +242,8 @@ def _fits(model: MultivariableModel, record: Record) -> dict[str, float]:
 if TYPE_CHECKING:
     import plotly.graph_objects
 
-"""Standard deviations of a 95 % band."""
+# Frequencies of a response that is drawn.
 _FREQUENCIES = 300
-"""Frequencies of a response that is drawn."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -436,17 +437,23 @@ class Plant(Result):
             self.identified.frequency_response(omega),
             self.identified.frequency_covariance(omega),
         )
+        # A response of exactly zero has no direction, and no decibels.
         size = np.maximum(np.abs(G), 1e-300)
+        # The covariance of (Re G, Im G) is taken along G, where it moves the magnitude, and across
+        # it, where it turns the phase.
         along = np.stack([G.real, G.imag], axis=1) / size[:, None]
         across = np.stack([-along[:, 1], along[:, 0]], axis=1)
         spread = [
             np.sqrt(np.maximum(np.einsum("ki,kij,kj->k", d, covariance, d), 0.0))
             for d in (along, across)
         ]
+        # A band that reaches a gain of zero would have no lower end in decibels: it ends 60 dB
+        # below.
         low, high = (
             20.0 * np.log10(np.maximum(size + s * _BAND * spread[0], 1e-3 * size))
             for s in (-1.0, 1.0)
         )
+        # Half a turn to either side already says that the phase is not known.
         phase, turn = (
             np.degrees(np.unwrap(np.angle(G))),
             np.degrees(np.minimum(_BAND * spread[1] / size, np.pi)),
@@ -491,6 +498,7 @@ class Plant(Result):
         """
         model = self.identified
         n = (
+            # As long as the impulse response: behind it a step's response stays where it is.
             model.delay + model.order
             if duration is None
             else max(2, round(duration / model.sample_time))
@@ -647,6 +655,7 @@ def identified(
     if asked.input is not None:
         plant = plant_tests(estimation, asked, asked.delay)
         check_stable(asked.method, plant, estimation[0].sample_time)
+    # An error model is of data that the fit has not seen, where a split note keeps some.
     model = with_uncertainty(identified_by(estimation, asked), held_out or estimation, asked)
     if plant is None:
         return Plant(model, asked.method, estimation, held_out)
@@ -674,6 +683,7 @@ def split_records(
 ) -> tuple[tuple[MeasuredRecord, ...], tuple[MeasuredRecord, ...]]:
     """What a model is identified from, and what the records' split notes keep for validation."""
     cuts = [
+        # A record needs one sample, however small the share.
         record.n if record.split is None else max(1, round(record.split * record.n))
         for record in records
     ]

@@ -12,8 +12,8 @@ from residuum.library.picture import Bars, Curve, Panel, Picture
 MOST_POINTS = 4000
 """Of a curve."""
 COLOURS = ("#1f6f8b", "#d1495b", "#66a182", "#edae49", "#8d6a9f", "#5c6b73")
+# Of a panel [px].
 _HEIGHT = 260
-"""Of a panel [px]."""
 
 
 def figure(picture: Picture) -> Any:
@@ -34,6 +34,7 @@ def figure(picture: Picture) -> Any:
             plot.add_trace(trace, row=row, col=1)
         plot.update_xaxes(
             title_text=panel.x_label,
+            # Bars stand over names, whose axis is neither linear nor logarithmic.
             type=panel.x_scale if _is_curves(panel) else None,
             row=row,
             col=1,
@@ -73,6 +74,7 @@ def _curve(graphs: Any, curve: Curve, colour: str) -> list[Any]:
     )
     if curve.low is None or curve.high is None:
         return [line]
+    # A band is one outline: along its upper edge, and back along the lower one.
     x, y = np.concatenate([curve.x, curve.x[::-1]]), np.concatenate([curve.high, curve.low[::-1]])
     band = graphs.Scatter(
         x=x,
@@ -84,4 +86,5 @@ def _curve(graphs: Any, curve: Curve, colour: str) -> list[Any]:
         name=f"{curve.name}, 95 % band",
         hoverinfo="skip",
     )
+    # What comes first is drawn first: the line lies on its band.
     return [band, line]

@@ -17,8 +17,8 @@ Progress = Tell | bool | None
 watches.
 """
 
+# Characters of the line, which must not wrap: a terminal has 80.
 _WIDTH = 78
-"""Characters of the line, which must not wrap: a terminal has 80."""
 
 
 @contextmanager
@@ -43,6 +43,8 @@ def progress_shown(progress: Progress = None) -> Iterator[Tell]:
     try:
         yield _show
     finally:
+        # Also where the work ends in an error, whose message would else stand behind the line. On
+        # standard error, for standard output holds the answer.
         sys.stderr.write("\r" + " " * _WIDTH + "\r")
         sys.stderr.flush()
 
@@ -54,4 +56,5 @@ def _show(share: float, doing: str) -> None:
 
 def _watched() -> bool:
     """Whether a person looks at standard error: a terminal, or a notebook's cell."""
+    # A notebook's standard error is no terminal, and yet shows a line that is written over.
     return sys.stderr.isatty() or "ipykernel" in sys.modules

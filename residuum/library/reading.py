@@ -107,6 +107,8 @@ def units_of(
             name = by_column[key][0] if key in by_column else key
             if name in units:
                 units[name] = unit
+            # A frame's attributes may outlive a column that was dropped; what the caller says has
+            # to fit.
             elif source is given:
                 raise BadRecord(
                     f"units: there is no channel {key!r}; {known_names(key, units, 'there are')}"
@@ -119,11 +121,13 @@ def numbers(values: Any, where: str) -> npt.NDArray[np.float64]:
     text.
     """
     kind = getattr(getattr(values, "dtype", None), "kind", "")
+    # `and kind`: the empty kind of a list is within every text.
     if kind in "mM" and kind:
         raise BadRecord(
             f"{where}: holds instants, not numbers; take the time from it with time=…, or leave it"
             " out with frame.drop(…)"
         )
+    # NumPy would keep the real part alone, with no more than a warning.
     if kind == "c":
         raise BadRecord(
             f"{where}: holds complex numbers; keep one part of them, or leave it out with"
@@ -141,8 +145,9 @@ def numbers(values: Any, where: str) -> npt.NDArray[np.float64]:
 # The time of a table (a DataFrame, a Dataset): instants, durations, seconds; never a count of its
 # rows.
 
+# Above this a number is no second of our days, since 1970 or since a start.
+# Milliseconds since 1970 lie above it from March 1973 on, seconds not before the year 5138.
 _EPOCH = 1e11
-"""Above this a number is no second of our days, since 1970 or since a start."""
 
 
 def seconds(
@@ -230,6 +235,7 @@ def _without_zone(values: Any) -> npt.NDArray[Any]:
     """The array of values; instants with a zone become those of UTC, in which no hour stands
     twice.
     """
+    # A Series has its zone under `.dt`, an index has it itself.
     accessor = getattr(values, "dt", values)
     if getattr(accessor, "tz", None) is not None:
         return np.asarray(accessor.tz_convert(None))
@@ -265,6 +271,8 @@ if TYPE_CHECKING:
     import pandas
     import xarray
 
+# English and German names of a column of times. They serve a refusal's advice alone: no column is
+# taken for the time by its name.
 _TIMES = ("time", "t", "timestamp", "zeit", "date", "datetime")
 
 
@@ -348,10 +356,13 @@ def read(
     options = ReadOptions(
         resample=resample,
         sample_time=sample_time,
+        # Told by the names that the caller will see; the reader knows the file's columns.
         units={columns.get(name, name): unit for name, unit in (units or {}).items()},
         decimal=decimal,
         time_form=time,
+        # Taken out of what is renamed after reading: the time is no channel.
         time_column=columns.pop("time", None),
+        # A text alone is one cell, not its letters.
         missing=[
             str(cell) for cell in ([missing] if isinstance(missing, str | float) else missing)
         ],
@@ -426,6 +437,7 @@ def from_arrays(
     where = source or "arrays"
     if time is not None:
         instants = seconds(np.asarray(time), where, is_time=True)
+        # Two beginnings could contradict each other.
         if t0 is not None:
             raise BadRecord(f"{where}, t0: the times begin at {instants[0]:g} s; leave it out")
         return _at_times(instants, signals, all_units, resample, where, sample_time)
@@ -519,6 +531,8 @@ def from_pandas(
         name: numbers(frame[column], f"{where}, column {column!r}")
         for column, (name, _) in by_column.items()
     }
+    # An index of plain numbers counts rows here; one of instants tells the time itself, and the
+    # sample time is held against it below.
     if sample_time is not None and time is None and not _has_instants(frame.index):
         return from_arrays(signals, units=all_units, sample_time=sample_time, source=where)
     taken, head = (frame.index, frame.index.name) if time is None else (frame[time], time)
@@ -563,6 +577,7 @@ def from_xarray(
     'rad/s'
     """
     where = source or "Dataset"
+    # A DataArray has no variables by name: it becomes the one of a Dataset, under its own name.
     dataset = data.to_dataset() if not hasattr(data, "data_vars") else data
     if dim not in dataset.coords:
         raise BadRecord(
@@ -605,6 +620,8 @@ def as_records(records: Any) -> list[MeasuredRecord]:
 
 def _no_record(given: Any) -> BadRecord:
     """The refusal of what is neither a record nor a file, with the way to make a record of it."""
+    # By attributes, for pandas and xarray are not imported to refuse what is theirs; arrays come
+    # last, as objects of both can be made arrays.
     if hasattr(given, "iloc"):
         return BadRecord(
             "record: is a pandas object; make a record of it with rs.from_pandas(frame, units={…})"
@@ -653,6 +670,7 @@ def _timed(
         told=notes,
         names=[*signals],
     )
+    # Refuses a sample time that contradicts the times.
     ReadOptions(sample_time=sample_time).settle_sample_time(step, where)
     channels = dict(zip(signals, columns[1:], strict=True))
     return Record(channels, units, step, t0=float(columns[0][0]), notes=tuple(notes), source=where)

@@ -159,6 +159,7 @@ class Record(MeasuredRecord):
             {
                 "channel": name,
                 "unit": self.units[name],
+                # Of a channel that is missing throughout NumPy would warn, and tell NaN.
                 "least": float(np.nanmin(signal)) if not np.isnan(signal).all() else None,
                 "largest": float(np.nanmax(signal)) if not np.isnan(signal).all() else None,
                 "missing": int(np.isnan(signal).sum()),

@@ -22,8 +22,8 @@ from residuum.library.reading import as_records
 from residuum.library.result import Result, Row
 
 Records = MeasuredRecord | str | PathLike[str] | Sequence[MeasuredRecord | str | PathLike[str]]
+# Frequencies of the post-filter's gain that are drawn.
 _FREQUENCIES = 300
-"""Frequencies of the post-filter's gain that are drawn."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -166,10 +166,12 @@ class Residual(Result):
         return [
             {"quantity": name, "value": value}
             for name, value in self._answer().items()
+            # Numbers alone: names, lists and objects of the answer have no row.
             if isinstance(value, float)
         ]
 
     def _picture(self) -> Picture:
+        # Three decades up to π/Ts, as a plant's response is drawn.
         omega = np.geomspace(1e-3, 1.0, _FREQUENCIES) * np.pi / self.design.model.sample_time
         gain = np.abs(self.design.post_filter.Q.frequency_response(omega)).reshape(_FREQUENCIES)
         return Picture(

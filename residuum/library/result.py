@@ -21,8 +21,8 @@ if TYPE_CHECKING:
 
 Row = Mapping[str, Any]
 
+# Of a table in a notebook; the rest is counted.
 _ROWS = 12
-"""Of a table in a notebook; the rest is counted."""
 
 
 class Result(ABC):
@@ -47,6 +47,8 @@ class Result(ABC):
         >>> "structured_error" in comparison.to_dict()
         True
         """
+        # Arrays and NaN of an answer are made plain in one place, as the contract has JSON values
+        # alone.
         plain: dict[str, Any] = to_plain(self._answer())
         return plain
 
@@ -127,6 +129,7 @@ class Result(ABC):
         return f"<residuum {type(self).__name__}: {first}>"
 
     def _repr_html_(self) -> str:
+        # SVG, so that a notebook shows a picture without Plotly and its script.
         return html(type(self).__name__, self._shown_rows(), self._picture())
 
     def _shown_rows(self) -> Sequence[Row]:

@@ -9,12 +9,13 @@ import numpy as np
 
 from residuum.library.picture import Array, Bars, Curve, Panel, Picture
 
+# Of a panel [px].
 _WIDTH, _HEIGHT = 560, 150
-"""Of a panel [px]."""
+# Margins of the axes [px], for numbers and names.
 _LEFT, _RIGHT, _TOP, _BOTTOM = 62, 12, 20, 30
-"""Margins of the axes [px], for numbers and names."""
+# Of a curve: more than one a pixel cannot be seen.
 _POINTS = 600
-"""Of a curve: more than one a pixel cannot be seen."""
+# Those of the Plotly figures: a curve has one colour in both.
 _COLOURS = ("#1f6f8b", "#d1495b", "#66a182", "#edae49", "#8d6a9f", "#5c6b73")
 
 
@@ -85,6 +86,7 @@ def _curves(curves: Sequence[Curve], logarithmic: bool) -> str:
 def _bars(bars: Bars) -> str:
     if not bars.values:
         return ""
+    # Bars that are all zero have no longest one to be drawn against.
     top = max([*(abs(value) for value in bars.values if np.isfinite(value)), bars.whole or 1e-300])
     step = (_HEIGHT - _TOP - _BOTTOM) / len(bars.values)
     parts = []
@@ -161,6 +163,7 @@ def _text(
     colour: str = "#222",
 ) -> str:
     return (
+        # A channel's name comes from a file; unescaped it would be taken for elements of the page.
         f'<text x="{x:.0f}" y="{y:.0f}" text-anchor="{anchor}" font-weight="{weight}"'
         f' fill="{colour}">{escape(text)}</text>'
     )

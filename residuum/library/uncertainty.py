@@ -44,6 +44,7 @@ class Uncertainty(Result):
     def _answer(self) -> dict[str, Any]:
         bound = self.bound
         return {
+            # Whoever read the model from a file puts the file's name here.
             "identified": None,
             "form": bound.form,
             "rule": self.asked.rule,

@@ -14,8 +14,10 @@ from residuum.library.record import Record
 from residuum.nearest_names import known_names
 from residuum.simulation import MACHINES, BadSetting, Machine, Signals
 
+# Of a record that is simulated: it is held in memory as a whole, some 0.4 GB a channel.
 _MOST_SAMPLES = 50_000_000
-"""Of a record that is simulated: it is held in memory as a whole."""
+# What every machine takes. A question has fields for these; all others are the machine's own
+# settings.
 _COMMON = ("self", "seed", "effects", "faults", "exemplar")
 
 
@@ -48,6 +50,8 @@ def simulate(machine: str, **given: Any) -> Record:
     >>> record.names, record.units["speed"]
     (('voltage', 'speed', 'current'), 'rad/s')
     """
+    # A keyword that is no field of the question is a setting of the machine, `--set` of the
+    # command.
     own = {name: given.pop(name) for name in list(given) if name not in Simulate.model_fields}
     if own:
         given["settings"] = {**(given.get("settings") or {}), **own}
@@ -72,9 +76,11 @@ def simulated(machine: str, asked: Simulate) -> tuple[Record, dict[str, Any]]:
         for id, size in asked.events.items():
             built.trigger(id, size)
         signals = built.simulate(_length(built, asked.duration))
+    # Simulators share no code with what they test, exceptions included.
     except BadSetting as refused:
         raise BadInput(str(refused)) from None
     truth: dict[str, Any] = to_plain(built.truth)
+    # A record to be tried on must not tell what is hidden in it, unless that is asked for.
     return _record(machine, signals, asked.seed, truth if asked.reveal else None), truth
 
 
@@ -103,6 +109,7 @@ def _settings(machine: type[Machine], given: dict[str, Any]) -> dict[str, Any]:
 
 
 def _typed(value: Any, like: Any, setting: str) -> Any:
+    # `bool` takes every text for true, `false` too.
     if isinstance(like, bool):
         if str(value).lower() not in ("true", "false"):
             raise BadInput(f"{setting} is {value!r}; must be true or false")

@@ -79,9 +79,11 @@ def disk_margin(
     k = int(np.argmax(distance))
     alpha = 1.0 / float(distance[k])
     low = (2.0 - alpha * (1.0 - skew)) / (2.0 + alpha * (1.0 + skew))
+    # Without room the disk reaches infinity: the gain may rise without limit.
     room = 2.0 - alpha * (1.0 + skew)
     high = (2.0 + alpha * (1.0 - skew)) / room if room > 1e-12 else math.inf
     cosine = low if math.isinf(high) else (1.0 + low * high) / (low + high)
+    # Rounding may carry a cosine beyond 1.
     return DiskMargin(alpha, low, high, math.acos(min(1.0, max(-1.0, cosine))), float(omega[k]))
 
 
@@ -190,6 +192,7 @@ def _crossings(system: StateSpace, level: float) -> FloatArray:
     left = np.block([[np.eye(n), -B @ np.linalg.solve(R, B.T)], [zero, closed.T]])
     right = np.block([[closed, zero], [-output, np.eye(n)]])
     roots = eigvals(right, left)
+    # A left side that is singular has eigenvalues at infinity.
     roots = roots[np.isfinite(roots) & (np.abs(np.abs(roots) - 1.0) < _NEAR_CIRCLE)]
     return np.unique(np.abs(np.angle(roots)))
 
@@ -352,6 +355,7 @@ def _unit_step(
     den = characteristic(plant, controller)
     num = np.polymul(path, controller.num)
     num = np.concatenate([np.zeros(len(den) - len(num)), num])
+    # An unstable loop grows beyond all numbers, by which its figures are infinite.
     with np.errstate(over="ignore", invalid="ignore"):
         return np.asarray(lfilter(num, den, np.ones(n)), dtype=float)
 

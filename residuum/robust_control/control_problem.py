@@ -379,6 +379,8 @@ class ControlProblem:
     def _in_time(self, law: ControllerStructure, wishes: Wishes) -> Solution:
         limit = self.horizon / _FOLLOWED if wishes.settling_time is None else wishes.settling_time
         aim = TimeAim(wishes.overshoot, limit)
+        # Streams of their own: the plants that are searched with, those that a promise is read from
+        # and those that it is measured on are others.
         plants = self.random_plants(_PLANTS_IN_SEARCH, stream=2)
         mixed = [plants[k] for k in np.random.default_rng(self.seed).permutation(len(plants))]
         held_out = self.random_plants(_PLANTS_OF_PROMISE, stream=3)

@@ -92,6 +92,7 @@ class DifferenceEquation:
 
     def text(self) -> str:
         """The equation in words of one line."""
+        # Seventeen digits give a double back exactly.
         terms = [f"{value:+.17g} e(k{_lag(i)})" for i, value in enumerate(self.b)]
         terms += [f"{-value:+.17g} u(k{_lag(i)})" for i, value in enumerate(self.a, start=1)]
         wanted = " ".join(terms)
@@ -113,6 +114,8 @@ class DifferenceEquation:
         limits = [
             abs(limit) for limit in (self.lower, self.upper) if math.isfinite(limit) and limit != 0
         ]
+        # An error for which the controller wants twice the largest limit: the test sees the actuator
+        # saturate and come back.
         e = shape * (2.0 * max(limits) / wanted if limits and wanted > 0 else 1.0)
         return e, self.run(e)
 
@@ -186,16 +189,19 @@ def c_source(equation: DifferenceEquation) -> str:
         sample_time=equation.sample_time,
         order=equation.order,
         b=_c_list(equation.b),
+        # C has no array without elements, which a static gain would need for its past outputs.
         a=_c_list([*equation.a, 0.0]),
         limits="".join(_c_limits(equation)),
         samples=len(e),
         test_e=_c_list(e),
         test_u=_c_list(u),
+        # compilers may order or fuse the sums otherwise, which changes their rounding alone
         tolerance=1e-9 * max(1.0, float(abs(u).max())),
     )
 
 
 def _c_list(values: Iterable[float]) -> str:
+    # The shortest text that gives the double back.
     return ", ".join(repr(float(value)) for value in values)
 
 

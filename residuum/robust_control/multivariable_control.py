@@ -77,6 +77,7 @@ def closed_loop_steps(
     y, e, v = (np.zeros((count, p, n)) for _ in range(3))
     u = np.zeros((count, q, n + length - 1))
     laws = [_coefficients(controller) for controller in controllers]
+    # An unstable plant grows beyond all numbers here, and is counted by its infinite error.
     with np.errstate(over="ignore", invalid="ignore"):
         for k in range(n):
             past = u[:, :, k : k + length].reshape(count, q * length)
@@ -217,6 +218,7 @@ class MultivariableProblem:
                 f"multivariable control: the model has {q} inputs and {p} outputs; needs as many of"
                 " both, at least two"
             )
+        # The loop would be algebraic: any gain looks stable in one, and diverges on the plant.
         if any(path.delay < 1 for row in model.models for path in row):
             raise BadInput(
                 "multivariable control: a path acts within its sample; identify it with delay 1 or"
@@ -253,6 +255,7 @@ class MultivariableProblem:
         can tell.
         """
         return self._taps(
+            # Streams of their own: what is measured on has not been designed for.
             self.model.sample_longer(count, np.random.default_rng([self.seed, stream]))
         )
 

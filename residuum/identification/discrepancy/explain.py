@@ -335,6 +335,7 @@ def _left(search: Search) -> dict[str, tuple[float, str, float]]:
             errors = [part[:, o] for part in parts]
             rms = float(np.sqrt(np.nanmean(np.concatenate(errors) ** 2)))
             innovations = float(np.sqrt(innovation_variance(errors)))
+            # A model that meets its record exactly leaves no innovations to be held against.
             left[output.name] = (rms, output.unit, rms / max(innovations, 1e-300))
     return left
 

@@ -92,6 +92,7 @@ def joined_of(
     `was` is the model before values of it were set free.
     """
     if asked is None:
+        # A value that is freed is no effect, and joins nothing.
         every = chain(search, [key for key in search.best.keys if key.effect != HELD])
         steps = _that_hold(every, search, records, mapping)
     else:
@@ -428,6 +429,7 @@ def _parts(id: str) -> Key:
 def _resolved(model: PhysicalModel, id: str) -> Key:
     name, target = _parts(id)
     if target:
+        # For its refusal of a place that the effect does not fit.
         model.with_effect(name, target)
         return Key(name, target)
     key, *more = fitting(model, name)

@@ -15,10 +15,9 @@ from residuum.identification.record import Record
 from residuum.identification.unseen_blocks.verdict import Candidate, Quantity, Remaining
 from residuum.identification.work import Work
 
+# Keys of an effect's provenance: the held-out error with it, and the standard deviation of a
+# parameter.
 _ERROR_AFTER, _STD = "error_after", "std_"
-"""Keys of an effect's provenance: the held-out error with it, and the standard deviation of a
-parameter.
-"""
 
 
 @dataclass(frozen=True)
@@ -88,6 +87,7 @@ def with_provenance(
     """
     for before, after in pairwise(history):
         use = next((u for u in model.effects if u.id == after.added), None)
+        # Dropped again beside what joined later.
         if use is None:
             continue
         note = {
@@ -99,6 +99,7 @@ def with_provenance(
             "error_unit": unit,
         }
         note |= {
+            # What the records did not determine has no deviation, and JSON no infinity.
             _STD + n: float(s)
             for n in use.parameters
             if np.isfinite(s := std.get(f"{use.label}.{n}", np.nan))
@@ -112,6 +113,7 @@ def quantities_of(use: EffectUse) -> dict[str, Quantity]:
     infinite where undetermined.
     """
     doubts = {
+        # An effect whose file says no deviation may have any.
         n: 0.0 if p.fixed else float(use.provenance.get(_STD + n, np.inf))
         for n, p in use.parameters.items()
     }

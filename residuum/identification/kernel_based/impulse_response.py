@@ -42,6 +42,7 @@ from residuum.nearest_names import known_names
 NoiseVariance = float | str
 NOISE_VARIANCE_METHODS = ("marginal", "least-squares")
 _LONGEST_ORDER = 5000
+# above any −log p, and a number: a line search turns back from it, which it does not from NaN
 _WALL = 1e100
 # of a level's square, below which a movement about it is rounding
 _ROUNDING = 1e-20
@@ -230,6 +231,8 @@ def fit_impulse_response(
         np.outer(per_coefficient, per_coefficient) * (posterior.covariance + spread),
         output_scale**2 * posterior.noise_variance,
         _named(likelihood, x, posterior.noise_variance * ratio**2),
+        # The density is of the output at unit mean square: in its own unit each of n samples
+        # divides it by the scale.
         value + likelihood.n * math.log(output_scale),
         tuple(_warnings(likelihood, posterior, value, excited)),
         (
@@ -295,6 +298,7 @@ def maximise(
         jac=True,
         method="L-BFGS-B",
         bounds=bounds,
+        # The gradient grows with the rows, as −log p does, and so does what is small of it.
         options={"ftol": tolerance, "gtol": 1e-6 * likelihood.n},
     )
     return np.asarray(optimum.x), float(optimum.fun)
@@ -325,6 +329,7 @@ def _starts(likelihood: MarginalLikelihood) -> list[FloatArray]:
     for time_constant in np.geomspace(min(2.0, likelihood.order), max(likelihood.order, 4.0), 4):
         alpha = math.exp(-1.0 / time_constant)
         free = [
+            # ρ = √α makes a TC kernel of a DC one.
             item.free(alpha if item.name == "alpha" else math.sqrt(alpha))
             for item in likelihood.kernel.parameters
         ]
@@ -385,6 +390,8 @@ def _known_variance(
             f"{scaled.rows} complete rows: the least-squares noise variance needs more rows than"
             f" coefficients, here {excited}"
         )
+    # The least norm where the input leaves directions without excitation. A fit without noise
+    # leaves rounding alone, hence a floor at the resolution of doubles.
     solution = np.linalg.lstsq(scaled.gram, scaled.cross, rcond=1e-12)[0]
     return max(scaled.energy - float(solution @ scaled.cross), RESOLUTION * scaled.energy) / spare
 

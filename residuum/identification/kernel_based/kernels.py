@@ -30,6 +30,7 @@ class Decay:
     @property
     def bounds(self) -> tuple[float, float]:
         """Range of x."""
+        # τ = 0.2 samples is α = e⁻⁵: of a faster decay one coefficient is all there is.
         return math.log(0.2), math.log(self.longest)
 
     def value(self, x: float) -> float:
@@ -54,6 +55,7 @@ class Correlation:
     @property
     def bounds(self) -> tuple[float, float]:
         """Range of x."""
+        # tanh 9 is 1 less 3·10⁻⁸; at ±1 the prior would be singular.
         return -9.0, 9.0
 
     def value(self, x: float) -> float:
@@ -298,6 +300,8 @@ class TunedCorrelated(DiagonalKernel):
         """ln w_k = k ln α + ln(1 − α), without the last term for k = m; and the derivative by α."""
         alpha = eta[0]
         k = np.arange(1.0, m + 1.0)
+        # By log1p, for α of a slow decay is 1 less a small number; in logarithms, for α^k
+        # underflows.
         log_w, slope = k * np.log(alpha) + np.log1p(-alpha), k / alpha - 1.0 / (1.0 - alpha)
         log_w[-1], slope[-1] = m * np.log(alpha), m / alpha
         return log_w, slope[None]

@@ -40,6 +40,9 @@ decay, and rules the other out.
 """
 MOST_COEFFICIENTS = 1000
 """Coefficients up to which bands are marginalised; beyond, sixty factorisations cost too much."""
+# Pairs of draws; step of the differences of the gradient; standard deviation along a direction in
+# which the likelihood is flat; by how much draws are spread further than Laplace's approximation,
+# so that slow decays are among them.
 _PAIRS, _STEP, _WIDEST, _WIDENED = 30, 1e-3, 2.0, 2.0
 _FEWEST = 8.0  # effective draws; weights that leave fewer are flattened
 
@@ -85,12 +88,16 @@ class HyperMixture:
                 for e in _STEP * np.eye(len(x))
             ]
         )
+        # Differences of a gradient are symmetric but for their step.
         curvature, axes = np.linalg.eigh(0.5 * (H + H.T))
         spread = 1.0 / np.sqrt(np.maximum(curvature, 0.0) + 1.0 / _WIDEST**2)
+        # One seed: one record has one band. Each draw has its mirror image, and the estimate is one
+        # of them.
         half = np.random.default_rng(1).standard_normal((_PAIRS, len(x)))
         z = np.vstack([np.zeros(len(x)), half, -half])
         points = x + _WIDENED * (z * spread) @ axes.T
         decay = [item.bounds for item in self._likelihood.kernel.parameters]
+        # Decays have bounds; ln κ, the last variable of each input, has none.
         low, high = (
             np.tile([*(pair[k] for pair in decay), sign * np.inf], self._likelihood.n_inputs)
             for k, sign in ((0, -1), (1, 1))

@@ -81,6 +81,7 @@ class MultivariableModel:
         """Noise-free outputs by name, shape (n,), for the inputs of `record` from rest."""
         simulated = {}
         for row in self.models:
+            # Each path carries the level of its output, which counts once.
             level = np.full(record.n, row[0].offset)
             simulated[row[0].output_name] = sum(
                 (model.simulate(record[model.input_name]) - model.offset for model in row), level
@@ -173,7 +174,7 @@ def identify_multivariable(
         covariances.append(fit.covariance)
         longer = None
         if cover_cut:
-
+            # As a default, for a closure would see the output of the loop's last turn.
             def refit(length: int, output: str = output) -> tuple[FloatArray, FloatArray]:
                 sums = lagged_data(records, inputs, output, length, delay, offset=offset).sums
                 again = fit_impulse_response(sums, kernel, len(inputs), noise_variance)
@@ -237,6 +238,7 @@ def is_multivariable(path: str | Path) -> bool:
     """Whether a file calls itself a multivariable model; False for what cannot be read at all."""
     try:
         content = json.loads(Path(path).read_text(encoding="utf-8"))
+    # JSON may be nested deeper than Python recurses.
     except (OSError, UnicodeDecodeError, json.JSONDecodeError, RecursionError):
         return False
     return isinstance(content, dict) and content.get("format") == FORMAT

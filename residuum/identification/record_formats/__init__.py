@@ -65,6 +65,7 @@ def read_record(path: str | Path, options: ReadOptions = ReadOptions()) -> Recor
     format's reader refuses or breaks on: what a library raises for a damaged file is of any kind,
     and only sometimes one line.
     """
+    # Before a `Path` is made of it, which keeps one of an address's two slashes.
     if is_history(path):
         return without_overloads(without_marks(read_history(str(path), options), options.missing))
     path = Path(path)
@@ -85,8 +86,10 @@ def read_record(path: str | Path, options: ReadOptions = ReadOptions()) -> Recor
         if "\n" not in str(error) and len(str(error)) <= _LONGEST:
             raise
         raise BadRecord(" ".join(str(error).split())[:_LONGEST]) from None
+    # No fault of the file's: the process that reads it has little memory, and answers for that.
     except MemoryError:
         raise
+    # Damaged files end readers with their own, struct's, NumPy's and zlib's errors.
     except Exception as error:
         raise BadRecord(
             f"{path}: is damaged or not a {ending} file ({in_one_line(error)})"

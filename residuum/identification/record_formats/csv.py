@@ -52,6 +52,8 @@ def read_csv(path: str | Path, options: ReadOptions = ReadOptions()) -> Record:
         raise BadRecord(f"{path}: cannot be read: {error.strerror}") from None
     if is_scope_csv(content):
         return parse_scope_csv(content, str(path), options)
+    # What is said of a logger's text needs the reader that heeds it: a cell that was said to mean
+    # no value once stayed a value here.
     ours = is_ours(content) and not options.of_a_logger
     return (
         parse_csv(content, str(path), options)
@@ -70,6 +72,7 @@ def is_ours(content: bytes) -> bool:
     lines = (line for line in start.splitlines() if line.strip() and not line.startswith(b"#"))
     head, first = next(lines, b""), next(lines, b"")
     return (
+        # Nothing to read, or far too much, is left to the strict reader, which names the row.
         not head
         or len(head) > _LONGEST_HEADER
         or (bool(_OURS.match(head)) and b'"' not in head + first and _is_utf8(start))
@@ -266,6 +269,7 @@ def _numbers(body: bytes, width: int, first_row: int, source: str) -> npt.NDArra
         raise BadRecord(f"{source}: has {len(lines)} data rows; at least 2 are needed")
     # one pass in C over all lines; where it refuses, `_bad_cell` looks which cell it was
     try:
+        # Without comments: a # within a row is a fault, and must not cut its cells off.
         table = np.loadtxt(lines, delimiter=",", comments=None, ndmin=2, dtype=np.float64)
     except ValueError:
         table = None

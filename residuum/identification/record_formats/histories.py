@@ -124,6 +124,7 @@ def _span(at: Address, history: History) -> tuple[datetime, datetime]:
     span = history.span(at)
     if span is None:
         raise BadRecord(f"{at.shown}: no rows in that time")
+    # An end is no part of a record: the last row has to lie before it.
     return at.start or span[0], at.end or span[1] + timedelta(microseconds=1)
 
 

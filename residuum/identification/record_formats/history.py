@@ -113,6 +113,7 @@ def _table_of(parts: SplitResult) -> tuple[str, dict[str, Any], tuple[str, ...]]
         port = parts.port
     except ValueError:
         raise BadRecord(f"{parts.scheme}://{host}: its port is no number") from None
+    # The password stays out of what refusals and records show.
     user = f"{parts.username}@" if parts.username else ""
     shown = f"{parts.scheme}://{user}{host}{f':{port}' if port else ''}{parts.path}"
     names = [unquote(name) for name in parts.path.split("/") if name]

@@ -206,6 +206,7 @@ def _answers(at: Address, query: str) -> Iterator[dict[str, Any]]:
         "db": at.server["dbname"],
         "q": query,
         "epoch": "u",
+        # Rows are read as they arrive: a long answer is never held whole as a text.
         "chunked": "true",
         "chunk_size": _CHUNK,
     }

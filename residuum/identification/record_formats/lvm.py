@@ -81,6 +81,7 @@ def parse_lvm(content: bytes, source: str, options: ReadOptions = ReadOptions())
     for k, (at_x, at_y) in enumerate(places):
         name, unit = _name_and_unit(heads, segment, k, at_y)
         times = table[:, at_x]
+        # `X_Columns No` leaves the column of times empty, and the head says start and step.
         if np.isnan(times).all():
             times = _even_times(segment, k, decimal, len(table), source)
         known = ~np.isnan(times)
@@ -92,6 +93,7 @@ def _signs(general: dict[str, list[str]], source: str) -> tuple[str, str]:
     """(what cuts cells, decimal sign) as the general head says them."""
     separator = general.get("Separator", ["tab"])[0].strip("\t,; ")
     cut = _SEPARATORS.get(separator.lower())
+    # Taken for tabs, as it once was, one column would be read as good.
     if cut is None:
         raise BadRecord(
             f"{source}: its head says the separator {separator!r}; it must be one of"
@@ -193,6 +195,7 @@ def _number_of(segment: dict[str, list[str]], key: str, k: int, decimal: str, so
     try:
         return number(cell, decimal) if cell else 0.0
     except ValueError:
+        # Read as 0, as it once was, it would give a wrong time base as good.
         fault = (
             f"{key} of channel {k + 1} is {cell[:40]!r}, no number with decimal sign {decimal!r}"
         )

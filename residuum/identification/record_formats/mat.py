@@ -56,6 +56,7 @@ def variables_of(content: dict[str, Any]) -> MatVariables:
 
 def _leaves(content: dict[str, Any], prefix: str) -> Iterator[tuple[str, Any]]:
     for name, value in content.items():
+        # Header, version and globals, which `loadmat` adds.
         if name.startswith("__"):
             continue
         if isinstance(value, dict) and "signals" in value:
@@ -132,6 +133,7 @@ def _kind(value: Any) -> str:
 _TIME = re.compile(r"(?i)(time|t|tout|zeit|timestamps?)(?:_?(s|sec|seconds|ms|msec|us|min|h))?")
 # names of times of some channels only (`t_fast`); they are taken for times where they rise evenly
 _OWN_TIME = re.compile(r"(?i)(time|t)_\w+|\w+_(time|t)")
+# without `rate`, which may be a shaft's
 _RATE = ("fs", "Fs", "FS", "sampling_rate", "samplingRate", "SamplingRate", "sr", "SR")
 _STEP = ("sample_time", "sampleTime", "SampleTime", "Ts", "dt")
 _HDF5 = b"\x89HDF\r\n\x1a\n"
@@ -208,6 +210,7 @@ def _in_seconds(
     if unit:
         return vector * _seconds(unit, name, source)
     step = float(np.median(np.diff(vector)))
+    # Neither milliseconds nor rows are counted in fractions.
     if step < 1:
         return vector
     if options.sample_time is None:
@@ -216,6 +219,7 @@ def _in_seconds(
             f"{source}: nothing says the unit of {name!r}, whose steps are {step:g}: {may}",
             way_on=[("sample_time", "SECONDS")],
         )
+    # Whatever the times count in, one step is as long as the caller says.
     return vector * (options.sample_time / step)
 
 
@@ -347,6 +351,7 @@ def write_mat(record: Record, path: str | Path) -> None:
         name: np.asarray(signal)[:, None] for name, signal in record.channels.items()
     }
     content |= {f"units_{name}": unit for name, unit in record.units.items() if unit}
+    # With its unit, for times in steps of a second and more are refused where none is said.
     scipy.io.savemat(
         path, content | {"time": record.time[:, None], "units_time": "s"}, long_field_names=True
     )
@@ -355,6 +360,7 @@ def write_mat(record: Record, path: str | Path) -> None:
 def _load(path: str | Path) -> dict[str, Any]:
     try:
         with open(path, "rb") as file:
+            # MATLAB's own 512 bytes stand before the signature.
             is_hdf5 = _HDF5 in file.read(1024)
         return (
             _load_hdf5(path)
@@ -389,11 +395,13 @@ def _load_hdf5(path: str | Path) -> dict[str, Any]:
         if (
             isinstance(node, h5py.Dataset)
             and node.dtype.kind in "fiu"
+            # What cells and objects refer to; it has no names there.
             and not name.startswith("#refs#")
         ):
             is_text = node.attrs.get("MATLAB_class") == b"char"
             value = node[()]
             content[name.replace("/", ".")] = (
+                # Version 7.3 keeps a text as the numbers of its characters.
                 "".join(map(chr, np.ravel(value))) if is_text else np.squeeze(value)
             )
 
@@ -413,6 +421,8 @@ def _scalar_step(saved: MatVariables, source: str) -> float | None:
     sample_times |= {
         name: 1.0 / saved.numbers[name] for name in _RATE if saved.numbers.get(name, 0.0) > 0
     }
+    # Rounded figures agree within a per cent. Of two that do not, either would give a wrong time
+    # base.
     if sample_times and max(sample_times.values()) > 1.01 * min(sample_times.values()):
         both = ", ".join(f"{name} {step:.6g} s" for name, step in sample_times.items())
         raise BadRecord(

@@ -45,6 +45,7 @@ def _signals(path: str | Path) -> tuple[list[Any], list[str]]:
             raise BadRecord(f"{path}: is not an MDF file: it does not begin with 'MDF'")
     try:
         with asammdf.MDF(path) as file:
+            # Masters are the times, which each signal brings along.
             every = list(file.iter_channels(skip_master=True))
     except Exception as error:
         # the reader raises its own, struct's, NumPy's and zlib's errors on damaged files
@@ -93,5 +94,6 @@ def _finite(signal: Any) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _free_name(signal: Any, position: int, signals: list[Any]) -> str:
+    # A file may hold several channels of one name, of several groups.
     taken = [earlier.name for earlier in signals[:position]]
     return str(signal.name) if signal.name not in taken else f"{signal.name}.{position}"

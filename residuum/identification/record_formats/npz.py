@@ -27,6 +27,7 @@ def keep_plain(record: Record, folder: Path) -> None:
     there.
     """
     for number, name in enumerate(record.names):
+        # By number: what a channel may be called is not always the name of a file.
         np.save(folder / f"{number}.npy", record[name], allow_pickle=False)
     units = {name: record.units[name] for name in record.names}
     described = {
@@ -76,6 +77,7 @@ class Described(Protocol):
         """What is worth knowing of it."""
 
 
+# entries of the archive that are no channels
 _RESERVED = ("sample_time", "units", "t0", "notes")
 
 
@@ -134,6 +136,8 @@ def write_npz_in_pieces(
         raise BadRecord(f"{path}: a channel cannot be called {sorted(clash)[0]!r} in an NPZ record")
     with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
         for name, dtype in dtypes.items():
+            # The length of an entry stands before it: one that may outgrow 2 GiB has to be
+            # announced.
             with archive.open(f"{name}.npy", "w", force_zip64=True) as file:
                 header = {"descr": dtype, "fortran_order": False, "shape": (described.n,)}
                 npy.write_array_header_1_0(file, header)
@@ -153,6 +157,7 @@ def _scalar(array: Any, name: str, path: str | Path) -> float:
 
 def _units(stored: Any, channels: dict[str, Any], path: str | Path) -> dict[str, str]:
     if stored is None:
+        # Plain arrays say no units, which is not to say that they are pure numbers.
         return dict.fromkeys(channels, "")
     try:
         units = json.loads(str(stored))

@@ -58,6 +58,7 @@ class ReadOptions:
             )
         if own_step is None or self.sample_time is None:
             return float(own_step if own_step is not None else self.sample_time or 0.0)
+        # What differs by less is a rounded figure, and the file's own holds.
         if abs(own_step - self.sample_time) > 0.01 * own_step:
             raise BadRecord(
                 f"{source}: has sample time {own_step:.6g} s, but {self.sample_time:.6g} s was"

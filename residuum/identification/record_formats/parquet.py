@@ -21,6 +21,8 @@ def read_parquet(path: str | Path, options: ReadOptions = ReadOptions()) -> Reco
     """
     pyarrow, parquet = need("pyarrow", path), need("pyarrow.parquet", path)
     try:
+        # Reads the table's description alone: too many columns are refused before they are
+        # unpacked.
         described = parquet.ParquetFile(path)
         if described.metadata.num_columns > MOST_COLUMNS:
             raise BadRecord(

@@ -42,6 +42,7 @@ def read_tdms(path: str | Path, options: ReadOptions = ReadOptions()) -> Record:
         for channel in channels:
             if channel is clock:
                 continue
+            # Names are of their group; a record has one list of them.
             is_alone = names.count(channel.name) == 1
             name = channel.name if is_alone else f"{group}.{channel.name}"
             if not _is_signal(channel):

@@ -50,6 +50,7 @@ def write_uff(record: Record, path: str | Path) -> None:
     Raises BadRecord for missing samples: the format has none, and its library writes zeros for
     them.
     """
+    # They became zeros, and were read back as measurements.
     if lacking := [name for name in record.names if record.missing(name).any()]:
         raise BadRecord(
             f"{path}: UFF 58 keeps no missing samples, and channel {lacking[0]!r} has some; write"

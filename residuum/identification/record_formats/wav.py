@@ -35,6 +35,7 @@ def read_wav(path: str | Path, options: ReadOptions = ReadOptions()) -> Record:
 def write_wav(record: Record, path: str | Path) -> None:
     """Write the channels as 32-bit float samples; units are not kept by the format."""
     rate = round(record.sampling_rate)
+    # The head holds whole samples a second: rounded, the record would come back with another time.
     if abs(rate - record.sampling_rate) > 1e-6 * record.sampling_rate:
         raise BadRecord(
             f"{path}: sampling rate {record.sampling_rate:.6g} Hz is not whole, as WAV needs; write"

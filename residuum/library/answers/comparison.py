@@ -90,6 +90,8 @@ def comparison_text(comparison: Comparison) -> str:
     lines += warning_lines(comparison.warnings)
     lines += [_lacking(comparison, name) for name in comparison.not_recorded]
     for name, output in comparison.outputs.items():
+        # Under an error that drifts the noise may be a bound alone: 6.97 once stood beside a true
+        # 0.2.
         noise = "at most" if output.noise_at_most else "floor"
         lines.append(
             f"{name}: RMS error {output.rmse:.4g} {output.unit}, fit"

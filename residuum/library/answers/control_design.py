@@ -22,8 +22,9 @@ from residuum.robust_control.loop import weighted_loop
 
 # What a control design promises in time beside what is measured, for the console and the page.
 
+# Share of the drawn plants that stay below what is told as reached: that which `in_time` holds a
+# design to.
 _SHARE = 0.95
-"""Share of the drawn plants that stay below what is told as reached."""
 
 
 def promise_and_measurement(
@@ -96,8 +97,8 @@ def says(result: Mapping[str, Any]) -> list[str]:
     ]
 
 
+# Figures of a step response, in the order in which `StepResponse` takes them.
 _NAMES = ("overshoot", "settling_time", "integral_absolute_error")
-"""Figures of a step response, in the order in which `StepResponse` takes them."""
 
 
 def _figures(step: StepResponse) -> dict[str, float | None]:
@@ -141,6 +142,7 @@ def design_json(
         "worst_frequency_rad_s": design.worst_frequency,
         "stable": design.stable,
         "robust_stability_norm": (
+            # The norm of a loop that is not stable bounds nothing; neither has it a margin.
             h_infinity_norm(weighted_loop(problem.plant, design.controller, W_T=W_T))[0]
             if design.stable
             else None

@@ -29,6 +29,8 @@ def parameters_json(parameters: tuple[Parameter, ...]) -> dict[str, Any]:
 
 def effect_line(entry: dict[str, Any]) -> str:
     """One line of the list."""
+    # With a model its candidates are listed, each in its place; without one the catalogue, whose
+    # effects say only on what they can act.
     where = entry["balance"] if "balance" in entry else ", ".join(entry["acts_on"])
     units = {name: p["unit"] for name, p in entry.get("parameters", {}).items()}
     shown = "".join(f"  {name} [{unit}]" for name, unit in units.items())

@@ -22,6 +22,8 @@ def estimate_json(
     """
     declared = result.model.all_parameters
     reasons = [*unsettled, *at_bounds(result)]
+    # Where a search stopped on its way the curvature there says nothing of the doubt: bands of 20 %
+    # stood at numbers that were 170 times off.
     std = [None] * len(result.parameters) if reasons else result.std.tolist()
     values = zip(result.parameters, result.theta, std, strict=True)
     priors = {
@@ -76,10 +78,12 @@ def _fit_percent(result: Estimate) -> list[float]:
     fits = []
     for r, y_hat in zip(residuals.T, predicted.T, strict=True):
         finite = np.isfinite(r)
+        # The measurement: an estimate holds residual and prediction.
         y = (r + y_hat)[finite]
         spread = float(np.linalg.norm(y - y.mean())) if finite.any() else 0.0
         fits.append(
             100.0 * (1.0 - float(np.linalg.norm(r[finite])) / spread)
+            # A channel that stands still has no deviation from its mean to hold the error against.
             if spread > 0
             else float("nan")
         )

@@ -90,20 +90,20 @@ def _formula(signal: str, parameters: Mapping[str, Quantity]) -> str | None:
     )
 
 
+# Power of an experiment below which it is no advice. Chosen.
 _WORTH_SAYING = 0.1
-"""Power of an experiment below which it is no advice."""
+# Candidates that are less probable are only named.
 _RULED_OUT = 0.005
-"""Candidates that are less probable are only named."""
+# Of what was not tried, so many are named: the whole list filled a page for a real arm.
 _TOLD = 6
-"""Of what was not tried, so many are named."""
 
 
+# What is said of an error that stands so many times above its innovations.
 _OF_THE_REST = {
     "adequate": ("noise that is slow, or something slow that no candidate explains", 3.0),
     "missing-effect": ("what is named is not all, or was not followed to its end", SLOW),
     "unknown-effect": ("something slow that no candidate explains, or that drifts", SLOW),
 }
-"""What is said of an error that stands so many times above its innovations."""
 
 
 def explanation_json(explanation: Explanation) -> dict[str, Any]:
@@ -159,6 +159,7 @@ def _blocks_json(blocks: BlockErrors) -> dict[str, Any]:
     """
 
     def listed(errors: FloatArray) -> list[float | None]:
+        # JSON has no NaN.
         return [float(e) if isfinite(e) else None for e in errors]
 
     return {

@@ -23,6 +23,7 @@ def _indicator(finding: dict[str, Any], name: str, value: Any) -> str:
     unit = finding["units"].get(name, "")
     limit = finding["thresholds"].get(name)
     shown = f"{value:.4g}" if isinstance(value, int | float) else str(value)
+    # A pure number has the unit 1, which is not written.
     return f"{name} = {shown}{'' if unit in ('', '1') else ' ' + unit}" + (
         f" (threshold {limit:.4g})" if isinstance(limit, int | float) else ""
     )

@@ -123,12 +123,15 @@ def static_gain(model: IdentifiedModel, assumed: Mapping[str, Any] | None) -> di
         return None
     unit, unknown = _gain_unit(model).strip(), None
     if model.integrates:
+        # The impulse response of an integrating model settles at a constant, its slope; as a sum of
+        # differences that is its last value.
         slope = float(np.diff(model.impulse_response, prepend=0.0).sum())
         unknown = f"none: the model integrates {slope:.4g}{_gain_unit(model)} a sample"
     elif ((assumed or {}).get("excitation") or {}).get("tells_gain") is False:
         unknown = "the record does not tell it"
     if unknown is not None:
         return {"value": None, "std": None, "unit": unit, "unknown": unknown, "formal": False}
+    # A variance of next to nothing may be rounded below 0.
     std = math.sqrt(max(float(model.frequency_covariance(0.0)[0, 0, 0]), 0.0))
     gain = float(model.frequency_response(0.0).real)
     return {"value": gain, "std": std, "unit": unit, "unknown": None, "formal": model.diverges}
@@ -148,6 +151,7 @@ def _bands(model: IdentifiedModel) -> str | None:
     """What the standard deviations leave out."""
     if "candidates" not in model.provenance:
         return band_says(model)
+    # Coefficients of true plants lay many deviations off where the criterion chose another order.
     criterion, orders = model.provenance["criterion"], model.provenance["orders"]
     return (
         f"as if the plant were of the orders that {criterion} chose from the data ({orders}): the"

@@ -88,6 +88,7 @@ def _effect_text(use: EffectUse, improvement: Improvement) -> str:
     judged = improvement.candidate(use)
     sizes = tied_text(use.id, use.target, quantities_of(use)) or sizes_text(quantities_of(use))
     text = f"{use.id} in {use.target}: {sizes}"
+    # What a user asked for by name was not compared with rivals, and has no probability.
     if judged is None:
         return text
     rivals = (

@@ -64,6 +64,7 @@ def run_json(
     first = detection.first_alarm
     return {
         "threshold": detection.threshold,
+        # The statistic is a likelihood ratio, which has none.
         "threshold_unit": "",
         "threshold_kind": "posterior",
         "evaluation": "glr",
@@ -89,6 +90,7 @@ def _fault_json(record: Record, fault: IsolatedFault) -> dict[str, Any]:
         "value": fault.value,
         "std": fault.std,
         "unit": fault.hypothesis.unit,
+        # 1.96 standard deviations hold 95 % of a normal law.
         "band_95": [fault.value - 1.96 * fault.std, fault.value + 1.96 * fault.std],
         "onset_time": record.t0 + fault.onset * record.sample_time,
         "probability": fault.probability,

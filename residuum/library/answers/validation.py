@@ -27,6 +27,7 @@ def validated(
             **asdict(bootstrap_632_plus(fit, records, labels, objects)),
         }
     validation = validate_object_wise(fit, records, labels, objects)
+    # A class that was only predicted has a column of the confusion, too.
     classes = sorted({*validation.truth.tolist(), *validation.predicted.tolist()})
     return {
         "how": how,

@@ -47,6 +47,7 @@ from residuum.nearest_names import known_names
 
 Value = TypeVar("Value")
 Function = TypeVar("Function", bound=Callable[..., Any])
+# pydantic's kinds of errors → rules of ours.
 _RULES = {
     "missing": "is missing",
     "finite_number": "must be a finite number",
@@ -63,21 +64,21 @@ _RULES = {
     "too_short": "needs {min_length} or more items",
     **dict.fromkeys(("bool_type", "bool_parsing"), "must be true or false"),
 }
-"""pydantic's kinds of errors → rules of ours."""
+# How a type is shown; of several names one may stand alone.
 _SHOWN = {
     NoneType: "None",
     tuple[str, ...]: "str | tuple[str, ...]",
 }
-"""How a type is shown; of several names one may stand alone."""
 _BOUNDS = {"ge": "≥", "gt": ">", "le": "≤", "lt": "<"}
+# Of a value in a refusal.
 _LONGEST = 60
-"""Of a value in a refusal."""
+# What comes after a question's fields in a docstring.
 _LAST = re.compile(r"(\nprogress :|\n\nReturns\n)")
-"""What comes after a question's fields in a docstring."""
 _LINES = TextWrapper(126, initial_indent="    ", subsequent_indent="    ", break_on_hyphens=False)
 
 
 def _warned(says: str) -> None:
+    # So many frames lie between here and the line that called the library.
     warnings.warn(says, FutureWarning, stacklevel=6)
 
 
@@ -90,6 +91,8 @@ OLD_SPELLINGS: ContextVar[Callable[[str], None]] = ContextVar(
 class Question(BaseModel):
     """A question as a value, whoever asks it; its fields are declared by `field`."""
 
+    # Frozen, for a question is handed on as a value. An unknown field is refused: one that was
+    # mistyped and passed over (`speed_rmp`) once had a bearing called healthy.
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
     earlier: ClassVar[Mapping[str, Mapping[str, Any]]] = {}
@@ -105,6 +108,7 @@ class Question(BaseModel):
         try:
             return cls(**given)
         except ValidationError as error:
+            # The first alone: a refusal is one line in every door.
             raise refusal(error.errors()[0], cls.model_fields) from None
 
     @model_validator(mode="before")
@@ -124,6 +128,8 @@ class Question(BaseModel):
         now = {
             name: values[given[name]]
             for name, values in cls.earlier.items()
+            # By equality in a list: as a key of the mapping a value that is itself a list would not
+            # do.
             if given.get(name) in list(values)
         }
         for name, value in now.items():
@@ -247,6 +253,8 @@ def refusal(error: Mapping[str, Any], known: Iterable[str] = ()) -> BadInput:
     own = context.get("error")
     if isinstance(own, BadInput):
         return own
+    # `body`, `query` and `[key]` are where FastAPI and pydantic found it, which tells a caller
+    # nothing.
     where = ".".join(str(part) for part in error["loc"] if part not in ("body", "query", "[key]"))
     if error["type"] == "extra_forbidden":
         return BadInput(repr(where), "", f"there is none of this name; {known_names(where, known)}")
@@ -272,6 +280,7 @@ def _as_given(value: object) -> str:
 
 def part_of(asked: BaseModel, question: type[Asked]) -> Asked:
     """The question in a body that has fields of a door's own beside it."""
+    # Not validated again: it was as part of the body, and an old spelling is told once.
     return question.model_construct(
         **{name: getattr(asked, name) for name in question.model_fields}
     )

@@ -19,6 +19,7 @@ WISHES = {"nominal": ("overshoot", "settling-time"), "robust": ("high-gain", "cr
 
 _NOMINAL, _ROBUST = {"aim": ["nominal"]}, {"aim": ["robust"]}
 
+# JSON has no infinity; `-inf` of a command means the same as no limit.
 Limit = Annotated[
     Annotated[float, Field(ge=-1e300, le=1e300)] | None,
     BeforeValidator(lambda given: None if str(given).lower() in ("-inf", "inf") else given),
@@ -75,6 +76,7 @@ class DesignController(WeightQuestion):
     low_gain: float = field(
         120.0, "robust: l_g, gain of W_S at low frequency [dB].", only_with=(_ROBUST,), gt=0, le=400
     )
+    # Below −0.5 dB, the largest h_g that is sought (`RobustAim`).
     high_gain: float = field(
         -50.0,
         "robust: smallest h_g, gain of W_S at high frequency [dB].",

@@ -20,8 +20,8 @@ LAGS = 100
 METHODS = ("kernel", *PENALTIES, "set-membership", "stochastic-embedding", *STRUCTURES)
 """`ar` alone needs no input: it is the model of a time series."""
 
+# Where a field of a model with an input counts.
 _WITH_INPUT = ({"method": [method for method in METHODS if method != "ar"]},)
-"""Where a field of a model with an input counts."""
 
 _Channel = Annotated[str, Field(min_length=1, max_length=200)]
 _Channels = Annotated[
@@ -34,6 +34,7 @@ _VARIANCE = f"must be a number or one of {', '.join(NOISE_VARIANCE_METHODS)}"
 def _number(given: object) -> object:
     """A number that was written as text."""
     try:
+        # On a command line a variance comes as a text, as the names of methods do.
         return float(given) if isinstance(given, str) else given
     except ValueError:
         return given
@@ -61,6 +62,7 @@ class Identify(Question):
         choices=METHODS,
     )
     kernel: str = field("tc", "Prior of the impulse response.", choices=KERNELS)
+    # The longest is that of the kernel method.
     order: int | None = field(
         None,
         f"Length m of the impulse response (kernel: {LAGS}), or order of the model (others: by the"

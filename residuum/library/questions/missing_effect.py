@@ -64,6 +64,7 @@ class Improve(Explain):
         wrong = [name for name in self.add or () if not _PLACED.fullmatch(name)]
         if wrong:
             raise BadInput(repr(wrong[0]), "add", "must be an effect, or effect@place")
+        # Named effects are not searched for: these were once passed over beside `add`.
         for name in ("auto", "effects", "learned"):
             if self.add and getattr(self, name):
                 raise BadInput(

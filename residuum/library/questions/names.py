@@ -15,6 +15,7 @@ _Several = Annotated[tuple[_Name, ...], Field(max_length=100)]
 
 def _named(given: Any, info: ValidationInfo) -> Any:
     """One name as a list of one; an empty list, which says nothing, as it is written now."""
+    # It meant all effects over HTTP and none in Python; now it means that nothing was said.
     if isinstance(given, Collection) and not isinstance(given, str) and len(given) == 0:
         OLD_SPELLINGS.get()(
             f"{info.field_name} {given!r}: will not be read much longer; leave it out"

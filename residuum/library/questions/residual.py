@@ -42,6 +42,7 @@ class RunResidual(Question):
     """What a residual design says of a record."""
 
     threshold: str = field("posterior", "Kind of threshold.", choices=get_args(ThresholdKind))
+    # At most one a second.
     false_alarms_per_day: float = field(
         1.0,
         "Number of false alarms a day that is accepted, for the posterior and the calibrated"
@@ -76,6 +77,7 @@ def residual_for(
         What a model of several outputs has alone; a model or records that do not suit.
     """
     if asked.unknown_input or asked.method == UNKNOWN_INPUT:
+        # The field that was set is named, of the two that a model of one output has no use for.
         where = "method" if asked.method == UNKNOWN_INPUT else "unknown_input"
         setting = repr(asked.method if where == "method" else asked.unknown_input)
         raise BadInput(

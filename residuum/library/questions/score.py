@@ -52,6 +52,7 @@ class Score(Question):
     )
     hertz: Frequencies = field(None, "Bearing: fault frequencies [Hz].", written=_FORM)
     method: str | None = field(None, _METHODS)
+    # At most one a second.
     false_alarms_per_day: float | None = field(
         None,
         "Number of false alarms a day that is accepted (model-based; robust-residual when it is"
@@ -63,6 +64,7 @@ class Score(Question):
     @property
     def settings(self) -> dict[str, Any]:
         """The settings that were given, as a diagnoser takes them."""
+        # What was not said is left out: a diagnoser refuses a setting that it does not have.
         return self.model_dump(exclude_none=True, exclude_defaults=True)
 
 

@@ -35,6 +35,7 @@ def _sizes(given: Any, info: ValidationInfo) -> Any:
 def _of_texts(given: Any, info: ValidationInfo, read: Any, unsized: Any) -> Any:
     """Names with what `read` makes of their sizes, or `unsized`; what is no texts as it is."""
     texts = [given] if isinstance(given, str) else given
+    # What is no text goes on as it is: the field's own rule refuses it, in the words of every door.
     if not isinstance(texts, list | tuple) or not all(isinstance(text, str) for text in texts):
         return {} if given is None else given
     where, sized = str(info.field_name), {}

@@ -206,6 +206,7 @@ def design_for_nominal_performance(
             f"the longest asked for is {aim.longest_settling_time:.4g} s"
         )
     overshoots = np.geomspace(0.5, aim.smallest_overshoot, aim.overshoots)
+    # From modest to ambitious, the order in which a front is bisected.
     times = np.geomspace(aim.longest_settling_time, fastest, aim.settling_times)
     limit = 1.0 + aim.slack
     worst: list[Synthesis] = []
@@ -239,6 +240,7 @@ def _sharpened(
         return point
     beyond = float(shorter[0])
     for _ in range(halvings):
+        # Half-way by ratio, as the grid of times is.
         between = float(np.sqrt(point.second * beyond))
         design = meets(point.first, between, point.design)
         if design is None:
@@ -266,6 +268,8 @@ def _best(
 ) -> Synthesis:
     """From a neighbour's controller when there is one, from scratch when that does not suffice."""
     if warm is not None:
+        # The search ends a little below the limit: its certificate comes from a finer grid, on
+        # which the cost may be larger.
         design = synthesise(loop, weights, structure, starts=[warm.rho], target=0.995 * limit)
         if design.certified < limit:
             return design

@@ -133,6 +133,7 @@ def understand(
     own_units = told_units or {}
     units = [own_units.get(name, unit) for name, unit in zip(names, units, strict=True)]
     samples = _Samples(source, body, first, names, units, sign)
+    # Before columns become channels: a history of a row a value was read as one channel.
     _refuse_long_form(samples)
     if sample_time is not None and time_column is None and not _has_time(samples):
         time: tuple[int, ...] = ()
@@ -257,6 +258,7 @@ def _first_row(rows: list[list[str]], source: str) -> tuple[int, int]:
     nothing else.
     """
     filled_rows = [row for row in rows if any(row)]
+    # The usual width is that of the samples, which are most rows.
     width = Counter(map(len, filled_rows)).most_common(1)[0][0]
     whole = [row for row in filled_rows if len(row) == width]
     # the later half: heads and settings stand above the samples

@@ -50,6 +50,7 @@ DUPLICATES = (
 """The way on where rows of one stamp differ."""
 _REORDERED = ("refuse", "sort", "bridge")
 _AROUND = 60  # rows on both sides of a step back in which a shuffled one would have left its hole
+# a time with the name of a zone behind it (`10:00 CET`)
 _ZONE = re.compile(r".*\d\s*[A-Z]{3,5}", re.DOTALL)
 FloatArray = npt.NDArray[np.float64]
 
@@ -187,6 +188,7 @@ class LoggerMapping:
 
 
 def _is_count(value: object) -> bool:
+    # `true` in YAML is a number to Python.
     return isinstance(value, int) and not isinstance(value, bool) and value >= 1
 
 
@@ -214,6 +216,7 @@ def read_mapping(path: Path) -> LoggerMapping:
         raise BadRecord(
             f"{path}: {unknown[0]!r} is not part of a mapping; {known_names(unknown[0], known)}"
         )
+    # The first nine have no default.
     if lacking := [name for name in known[:9] if name not in content]:
         raise BadRecord(f"{path}: lacks {lacking[0]!r}; `residuum inspect` writes it")
     try:
@@ -258,6 +261,7 @@ def table(
             f" {mapping.time_form!r}"
         )
     times = np.array(stamps, dtype=np.int64)
+    # With a date in a column of its own the time of day begins anew by itself.
     if mapping.time_form == "clock" and len(mapping.time) == 1:
         times = over_midnight(times)
     return times, np.array(values).T, rows
@@ -311,6 +315,7 @@ def _marks(missing: tuple[str, ...], decimal: str) -> frozenset[float]:
     """The numbers among the cells that mean no value: a file may write -999.90 for -999.9."""
     marks = set()
     for cell in missing:
+        # A mark may be said with a point though the file writes commas.
         for sign in (decimal, "."):
             with suppress(ValueError):
                 marks.add(number(cell, sign))
@@ -387,9 +392,12 @@ def _ordered(
         stamps = _over_settings(stamps, was_set, rows, notes)
     backward = np.diff(stamps) < 0
     if backward.any():
+        # Rows that came in order while a clock was set back would be sorted into each other: such
+        # files were merged, and the clock's fault became a missing term.
         if mapping.reordered != "sort" or was_set:
             row = rows[int(was_set[0] if was_set else np.argmax(backward) + 1)]
             raise _goes_back(f"{source}, row {row}", stamps, was_set, mapping)
+        # Stable, so that rows of one stamp stay in the order in which they came.
         order = np.argsort(stamps, kind="stable")
         stamps, values, rows = stamps[order], values[:, order], [rows[k] for k in order]
         notes.append(f"rows sorted by time: {int(backward.sum())} steps went back")
@@ -494,6 +502,7 @@ def clock_steps(stamps: npt.NDArray[np.int64]) -> list[int]:
     if not len(back) or len(stamps) < 4:
         return []
     usual = float(np.median(steps[steps > 0])) if (steps > 0).any() else 0.0
+    # Only shuffled: no clock was set.
     if _sorting_mends(stamps, steps, usual):
         return []
     set_back = []
@@ -501,6 +510,8 @@ def clock_steps(stamps: npt.NDArray[np.int64]) -> list[int]:
         first, last = max(0, place - _AROUND), min(len(stamps) - 1, place + _AROUND)
         short = usual * (last - first) - float(stamps[last] - stamps[first])
         lacks = usual - float(steps[place - 1])
+        # A clock that was set leaves the stretch around it as much too short as its own step is;
+        # the hole of a row that stands elsewhere makes up for the step.
         if abs(short - lacks) < 0.5 * lacks:
             set_back.append(place)
     return set_back
