@@ -44,7 +44,7 @@ from residuum.library.picture import Curve, Panel, Picture, axis
 from residuum.library.plotly_figure import figure
 from residuum.library.progress import Progress, Tell, progress_shown
 from residuum.library.questions import asks
-from residuum.library.questions.identify import LAGS, Identify
+from residuum.library.questions.identify import LAGS, METHODS, Identify
 from residuum.library.reading import as_records
 from residuum.library.result import Result, Row
 from residuum.library.whole_file import write_whole
@@ -632,7 +632,9 @@ def load_plant(path: str | PathLike[str]) -> Plant:
     (40,)
     """
     model = load_identified(Path(path))
-    return Plant(model, model.method.split("-")[0])
+    # A model's method says more than was asked for: kernel-tc, fir-elastic-net.
+    asked = [name for name in METHODS if f"-{name}-" in f"-{model.method}-"]
+    return Plant(model, max(asked, key=len, default=model.method))
 
 
 def plant_of(given: Plant | str | PathLike[str]) -> Plant:

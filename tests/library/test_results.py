@@ -281,3 +281,12 @@ def test_an_effect_goes_in_and_out_of_a_model():
         and model.without_effect("viscous-friction").effects == ()
     )
     assert ("viscous-friction", "axis") in rs.model("linear-axis").fitting_effects
+
+
+@pytest.mark.parametrize("method", ["kernel", "set-membership", "elastic-net"])
+def test_a_plant_from_its_file_is_of_the_method_that_found_it(method, tmp_path):
+    record = rs.simulate("process-plant", seed=1)
+    bounds = {"noise_bound": 5.0} if method == "set-membership" else {}
+    plant = rs.identify(record, input="u", output="y", method=method, order=20, **bounds)
+    plant.save(tmp_path / "plant.json")
+    assert rs.load_plant(tmp_path / "plant.json").to_dict()["method"] == plant.to_dict()["method"]
