@@ -109,6 +109,8 @@ UNUSABLE = {
 
 
 ANY_RATE = {"bearing"}
+"""Those that judge a window of any rate; of all others it is not assessable."""
+
 CASES = [
     (name, harm)
     for name in NAMES
