@@ -51,11 +51,21 @@ class Diagnoser(ABC):
     `score` never raises on a window that is merely unusable (too short, gap, flat, clipped, wrong
     rate): that is a `not-assessable` Finding. It raises BadInput only when a required channel is
     absent or in an incompatible unit. A window across a gap is never judged healthy.
+
+    Its settings are the keywords of its `__init__`, which refuses a bad value with BadInput; without
+    any it can be trained on its examples. Python takes them at once, as in
+    `rs.monitor("robust-residual", order=60)`; commands and HTTP those that are a field of
+    `library/questions/score.py` too.
     """
 
     name: ClassVar[str]
+    """Its key in `DIAGNOSERS`, and the kind of its stored file."""
     channels: ClassVar[Sequence[Channel]]
+    """What it reads. A channel of unit "" may have any: `fit` keeps that of the records, and
+    `Record.in_unit` converts a window's to it.
+    """
     classes: ClassVar[Sequence[str]]
+    """Every `fault_class` that a finding of it may have; `healthy` may be among them."""
     methods: ClassVar[Sequence[str]] = ("default",)
     views: ClassVar[Sequence[str]] = ()
     """Pictures that not every diagnoser has: of a window (`residual`, `decision-regions`) or of its
@@ -71,12 +81,18 @@ class Diagnoser(ABC):
     @abstractmethod
     def fit(self, records: Sequence[Record], labels: Sequence[str] | None = None) -> Self:
         """Learn the baseline from records; `labels` is one class name a record (`healthy` or a
-        fault class).
+        fault class), None where all are healthy.
+
+        BadInput where labels are not one a record, where no record is healthy, or where one cannot
+        be used; NotIdentifiable where they are too few.
         """
 
     @abstractmethod
     def score(self, record: Record) -> Finding:
-        """Judge one window."""
+        """Judge one window: the indicators, each limit under its indicator's name, and a `reason`
+        with both numbers and their unit. NotTrained before `fit`, where nothing can be said
+        without a baseline.
+        """
 
     # not abstract: most have nothing to refuse
     def refuse_learning(self, healthy: Sequence[Record]) -> None:  # noqa: B027
@@ -95,7 +111,10 @@ class Diagnoser(ABC):
 
     @abstractmethod
     def save(self, path: str | Path) -> None:
-        """Store the trained diagnoser (JSON and arrays, estimators by skops; never pickle)."""
+        """Store the trained diagnoser with its settings (JSON and arrays, estimators by skops;
+        never pickle): `save_stored` of `diagnosis.learning.stored` writes all of it, `load_stored`
+        reads it and refuses another kind.
+        """
 
     @classmethod
     @abstractmethod
@@ -111,7 +130,7 @@ class Diagnoser(ABC):
 
     def with_settings(self, **settings: object) -> Self:
         """The same trained diagnoser with other settings; BadInput for one that it has not. All
-        have `method`.
+        have `method`; one with more that may change after training extends this.
         """
         if unknown := [name for name in settings if name != "method"]:
             raise BadInput(f"diagnoser {self.name!r}: has no setting {unknown[0]!r}; it has method")

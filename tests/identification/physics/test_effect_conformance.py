@@ -112,7 +112,10 @@ LAWS = {
     ),
     EndStop: pushes_inwards,
 }
-"""By class; a class without a law of its own obeys that of its nearest base, and any term is finite."""
+"""By class; a class without a law of its own obeys that of its nearest base, and any term is finite.
+
+A new effect that stands on no base with a law adds a line here, where its term has a sign or a bound.
+"""
 
 
 def obeys_physics(effect, term, variables, values):
@@ -169,7 +172,9 @@ def test_effect_in_its_examples(effect, example):
             Simulator(with_it), with_it.balances[target], experiment, run.X
         )
         values = {name: parameter.value for name, parameter in use.parameters.items()}
-        assert obeys_physics(effect, variables[f"term:{effect.id}"], variables, values)
+        assert obeys_physics(effect, variables[f"term:{effect.id}"], variables, values), (
+            "the term is not finite, or has the wrong sign or size: see LAWS"
+        )
     for start in starts:
         assert set(start) == set(use.parameters)
     if effect.vanishes:
@@ -211,6 +216,7 @@ def test_sensitivities_are_the_derivatives_of_the_outputs(effect, example):
         scale = np.max(np.abs(exact[:, :, column])) or 1.0
         if effect.id == "output-quantisation":
             continue
+        assert np.isfinite(scale), f"{name}: a slope is no number; smooth the term at its zeros"
         assert np.quantile(error, 0.95) <= 1e-3 * scale, (name, np.quantile(error, 0.95), scale)
 
 

@@ -202,10 +202,13 @@ def _or_one(size: float) -> float:
 class Effect(ABC):
     """A physical effect of the catalogue.
 
+    One of a kind that has a base class (`Friction`, `Drain`, `HeatLoss`, …) takes that as its own:
+    it brings the balances, the variables, the examples and the law of its sign.
+
     Class attributes
     ----------------
     id : str
-        Its name in model files.
+        Its name in model files, and its key in `EFFECTS`.
     title, equation, reference : str
         What is shown to the user.
     acts_on : tuple of str
@@ -282,11 +285,19 @@ class Effect(ABC):
 
     @abstractmethod
     def contribution(self, scene: Scene) -> Contribution:
-        """Its equation."""
+        """Its equation, of the parameters `scene.p` and the variables `scene[role]`.
+
+        Estimation needs its slopes at every sample. `Abs`, `Max` and `Min` may kink. A dry
+        friction's sign is `scene.direction`, which the integrator switches at standstill. A root,
+        another power below one, or a quotient has no slope where its base is zero, and a NaN there
+        spreads over the record: let it go evenly over a small width, as `Orifice` does.
+        """
 
     @abstractmethod
     def starts(self, conditions: Conditions) -> Sequence[Mapping[str, float]]:
-        """Values to try first: one mapping (of every parameter) for each shape worth trying."""
+        """Values to try first: one mapping (of every parameter) for each shape worth trying. The
+        catalogue's begin where the effect is a tenth of what drives its balance.
+        """
 
     def grown(
         self, special: Mapping[str, float], conditions: Conditions
@@ -332,7 +343,9 @@ class Effect(ABC):
 
     @abstractmethod
     def examples(self) -> Sequence[Example]:
-        """Cases for the conformance test."""
+        """Cases for the conformance test: models of `example_models` in which it has a place and
+        shows.
+        """
 
 
 class SignalEffect(Effect):
