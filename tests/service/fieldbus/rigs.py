@@ -633,7 +633,7 @@ class SparkplugRig(StampedRig):
         return {"channel": f"mqtt://127.0.0.1:{self.fixture('free_port')()}"}
 
     def _enter(self):
-        from residuum.service.fieldbus.sparkplug.edge_node import EdgeNode
+        from residuum.service.finding_metrics import EdgeNode
 
         self.wire = _Wire(*broker_address(f"mqtt://127.0.0.1:{self.port}"))
         self.node = EdgeNode(self.wire, "Plant/Press")

@@ -267,8 +267,9 @@ def test_alarms_and_what_was_found_stand_below_the_trend_on_its_axis(
     with_alarms, open_page, legible, size
 ):
     store = with_alarms.services.store
+    store.add_model_version("press", "baseline", b"-", "trained on 40 windows", "eva")
     page = open_page(f"{with_alarms.url}/#/machines/press", size=size)
-    page.wait_for_function(f"() => {LANES}?.length === 1")
+    page.wait_for_function(f"() => {LANES}?.length === 2")
     # one alarm that went and one that stands: a bar each, from when it was raised, parted by a null
     bars = page.evaluate(f"() => {LANES}[0]")
     assert [at is None for at in bars["x"]] == [False, False, True] * 2
@@ -278,9 +279,11 @@ def test_alarms_and_what_was_found_stand_below_the_trend_on_its_axis(
     store.confirm(
         "press", newest.id, FoundAtMachine(Outcome.CONFIRMED, part="seal", who="eva"), "eva"
     )
-    page.wait_for_function(f"() => {LANES}?.length === 2")
+    page.wait_for_function(f"() => {LANES}?.length === 3")
     found = page.evaluate(f"() => {LANES}[1]")
     assert found["y"] == ["Found"] and "it was so, seal (eva)" in found["text"][0]
+    trained = page.evaluate(f"() => {LANES}[2]")
+    assert trained["y"] == ["Models"] and "trained on 40 windows" in trained["text"][0]
     legible(page)
 
 

@@ -21,12 +21,10 @@ export async function readLife(asset, since) {
       all(`/alarms/history?limit=500&${of}${since}`),
       all(`/confirmations?limit=500&${of}${since}`),
       call(path("assets", asset, "model")),
-      all("/models?limit=500"),
+      all("/models?kind=baseline&limit=500"),
     ]);
-    const baselines = stored.filter(
-      ({ model, kind }) => kind === "baseline" && (model === asset || model === `${asset}.baseline`),
-    );
-    const trained = await Promise.all(baselines.map(({ model }) => all(`${path("models", model, "versions")}?limit=500`)));
+    const baselines = stored.filter(({ model }) => model === asset || model === `${asset}.baseline`);
+    const trained = await Promise.all(baselines.map(({ model }) => all(path("models", model, "versions"))));
     const begin = since ? new Date(new URLSearchParams(since).get("from")) : new Date(0);
     const models = [...accepted.history, ...trained.flat()].filter(({ created_at }) => new Date(created_at) >= begin);
     return { alarms, found, models };
