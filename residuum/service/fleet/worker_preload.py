@@ -11,3 +11,10 @@ for _name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
     os.environ.setdefault(_name, "1")
 
 import skops.io  # noqa: E402, F401
+
+import residuum.service.fleet.fleet  # noqa: E402, F401
+import residuum.service.machines.scoring  # noqa: E402, F401
+from residuum.diagnosis.diagnosers import DIAGNOSERS  # noqa: E402
+
+# A family imports its members when they are asked for; here all are, once for every worker.
+LOADED = list(DIAGNOSERS.values())

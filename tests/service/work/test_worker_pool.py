@@ -38,3 +38,18 @@ def test_workers_and_their_server_end_when_the_service_is_killed(tmp_path):
     while is_there(server) or is_there(worker):
         assert time.monotonic() < end, "what a killed service leaves behind does not end"
         time.sleep(0.05)
+
+
+def test_what_workers_are_copies_of_has_loaded_every_diagnoser():
+    """Else each worker would load them by itself, for seconds, before its first window."""
+    code = (
+        "import sys, residuum.service.fleet.worker_preload;"
+        "from residuum.diagnosis.diagnosers import DIAGNOSERS;"
+        "loaded = {kind.__module__ for kind in DIAGNOSERS.values()};"
+        "print(loaded <= set(sys.modules), 'residuum.identification.unseen_blocks.search' in sys.modules,"
+        " len(residuum.service.fleet.worker_preload.LOADED) >= 5)"
+    )
+    printed = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True
+    ).stdout
+    assert printed == "True True True\n"
