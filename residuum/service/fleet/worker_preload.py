@@ -12,7 +12,7 @@ for _name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
 
 import skops.io  # noqa: E402, F401
 
-import residuum.service.fleet.fleet  # noqa: E402, F401
+import residuum.service.fleet.fleet  # noqa: E402
 import residuum.service.machines.scoring  # noqa: E402, F401
 from residuum.diagnosis.diagnosers import DIAGNOSERS  # noqa: E402
 
