@@ -9,7 +9,8 @@ import msgpack
 import numpy as np
 import pytest
 
-from residuum.service.fieldbus.can.can_bus import CanBus, multicast_address, open_bus
+from residuum.service.fieldbus.can.can_bus import CanBus, open_bus
+from residuum.service.fieldbus.can.can_channel import multicast_address
 
 GROUPS = ["239.77.1.9", "ff15::77:9"]
 

@@ -14,7 +14,7 @@ import yaml
 
 from residuum.service.cli import run
 from residuum.service.fieldbus.can.frame_layout import BadBusDescription
-from residuum.service.fieldbus.modbus.modbus_client import explained
+from residuum.service.fieldbus.modbus.channel_registers import explained
 from residuum.service.fieldbus.modbus.modbus_source import ModbusSource
 from residuum.service.fieldbus.modbus.register_map import read_register_map
 from residuum.service.fieldbus.modbus.register_table import register_map_of

@@ -47,7 +47,8 @@ function alarmTrace(alarms, local, lane) {
   const says = (each) => {
     const gone = each.cleared_at ? new Date(each.cleared_at) : new Date();
     const lasted = span((gone - new Date(each.raised_at)) / 1000);
-    return `${each.kind === "signal" ? "signal" : "machine"}: ${each.cleared_at ? `gone after ${lasted}` : `for ${lasted}, still there`}`;
+    const ended = each.cleared_at ? `gone after ${lasted}` : `for ${lasted}, still there`;
+    return `${each.kind === "signal" ? "signal" : "machine"}: ${ended}`;
   };
   return {
     type: "scatter",
