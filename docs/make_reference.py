@@ -11,6 +11,7 @@ import json
 import re
 import sys
 import tempfile
+from functools import cache
 from importlib import import_module
 from pathlib import Path
 
@@ -109,17 +110,23 @@ def key(name):
 
 def imported(folder):
     """The folders of the package, each with those above it, whose modules are imported below this one."""
-    names = set()
-    for path in folder.rglob("*.py"):
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-            if isinstance(node, ast.ImportFrom) and node.module:
-                names |= {node.module, *(f"{node.module}.{alias.name}" for alias in node.names)}
-            elif isinstance(node, ast.Import):
-                names |= {alias.name for alias in node.names}
+    names = set().union(*map(imports, folder.rglob("*.py")))
     places = {PACKAGE.parent.joinpath(*name.split(".")) for name in names}
     return {
         above for place in places for above in (place, *place.parents) if PACKAGE in above.parents
     }
+
+
+@cache
+def imports(path):
+    """The names of modules, and of what is taken from them, that a file imports."""
+    names = set()
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.ImportFrom) and node.module:
+            names |= {node.module, *(f"{node.module}.{alias.name}" for alias in node.names)}
+        elif isinstance(node, ast.Import):
+            names |= {alias.name for alias in node.names}
+    return frozenset(names)
 
 
 def in_circles(direct):

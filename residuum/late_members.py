@@ -37,7 +37,9 @@ class LateMembers(MutableMapping[str, T], Generic[T]):
         self._loaded[name] = member
 
     def __delitem__(self, name: str) -> None:
-        del self._loaded[name]
+        if name not in self:
+            raise KeyError(name)
+        self._loaded.pop(name, None)
         # A member that was taken out must not be loaded again at the next question.
         self._places.pop(name, None)
 

@@ -58,3 +58,21 @@ def test_one_who_watches_by_vibration_waits_for_no_search_and_no_classifier():
     ).stdout
 
     assert printed == "[]\n"
+
+
+def test_a_member_is_replaced_and_taken_out_whether_or_not_it_was_loaded():
+    family = LateMembers[type](
+        {"fraction": ("fractions", "Fraction"), "decimal": ("decimal", "Decimal")},
+        lambda: {"text": str},
+    )
+    family["decimal"] = float
+    assert family["decimal"] is float
+    assert list(family) == ["fraction", "decimal", "text"]
+    for name in ("fraction", "decimal", "text"):
+        del family[name]
+        assert name not in family
+        with pytest.raises(KeyError):
+            family[name]
+        with pytest.raises(KeyError):
+            del family[name]
+    assert not list(family)

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from contextlib import closing
 from dataclasses import replace
 from datetime import datetime, timedelta
-from importlib import import_module
-from typing import Any
 
 from residuum.identification.errors import BadRecord
 from residuum.identification.record import Record
@@ -16,22 +14,26 @@ from residuum.identification.record_formats.history import (
     History,
     is_address_of,
     parse_address,
+    split_address,
 )
 from residuum.identification.record_formats.options import ReadOptions
+from residuum.late_members import LateMembers
 
 _POSTGRES = ("residuum.identification.record_formats.postgres_history", "PostgresHistory")
 _INFLUX = ("residuum.identification.record_formats.influx_history", "InfluxHistory")
 _OPCUA = ("residuum.identification.record_formats.opcua_history", "read_opcua_history")
-HISTORIES: Mapping[str, tuple[str, str]] = {
-    "timescale": _POSTGRES,
-    "postgresql": _POSTGRES,
-    "postgres": _POSTGRES,
-    "influx": _INFLUX,
-    "influxs": _INFLUX,
-}
-"""Scheme of an address → module and class of the history, loaded when one is asked for."""
-# scheme of servers that keep the history of nodes: these have no windows
-_NODES = ("opc.tcp",)
+HISTORIES: Mapping[str, Callable[[], History]] = LateMembers(
+    {
+        "timescale": _POSTGRES,
+        "postgresql": _POSTGRES,
+        "postgres": _POSTGRES,
+        "influx": _INFLUX,
+        "influxs": _INFLUX,
+    }
+)
+"""Scheme of an address → the history behind it."""
+# scheme of servers that keep the history of nodes, which have no windows → what reads one
+_NODES: Mapping[str, Callable[[str, ReadOptions], Record]] = LateMembers({"opc.tcp": _OPCUA})
 _MOST_WINDOWS = 10_000_000  # whose addresses are made before the first is read
 
 
@@ -43,15 +45,6 @@ def is_history(path: object) -> bool:
 def has_windows(path: object) -> bool:
     """Whether this names a table of a history, which can be read in windows."""
     return is_address_of(path, tuple(HISTORIES))
-
-
-def _history(scheme: str) -> History:
-    history: History = _loaded(*HISTORIES[scheme])()
-    return history
-
-
-def _loaded(module: str, name: str) -> Any:
-    return getattr(import_module(module), name)
 
 
 def _parsed(address: str) -> Address:
@@ -69,9 +62,9 @@ def read_history(address: str, options: ReadOptions = ReadOptions()) -> Record:
     HistoryAway
         A server that does not answer.
     """
-    if is_address_of(address, _NODES):
-        record: Record = _loaded(*_OPCUA)(address, options)
-        return record
+    nodes = split_address(address, tuple(_NODES))
+    if nodes is not None:
+        return _NODES[nodes.scheme](address, options)
     at = _parsed(address)
     if at.window or at.each:
         asked = "window" if at.window else "each"
@@ -79,7 +72,7 @@ def read_history(address: str, options: ReadOptions = ReadOptions()) -> Record:
             f"{at.shown}: {asked} asks for several records; leave it out, or give the address to"
             " `residuum rescore` or `residuum reidentify`"
         )
-    with closing(_history(at.scheme)) as history:
+    with closing(HISTORIES[at.scheme]()) as history:
         return history.record(at, options)
 
 
@@ -96,7 +89,7 @@ def windows_of(address: str) -> list[str]:
     at = _parsed(address)
     if at.window is None:
         raise BadRecord(f"{at.shown}: say how long a window is, in seconds: &window=600")
-    with closing(_history(at.scheme)) as history:
+    with closing(HISTORIES[at.scheme]()) as history:
         start, end = _span(at, history)
         machines = [{}] if at.each is None else _machines(at, at.each, history)
     # rounded up: the last window may be shorter
@@ -144,7 +137,7 @@ class HistoryReader:
 
     def __init__(self, address: str) -> None:
         self._at = _parsed(address)
-        self._history = _history(self._at.scheme)
+        self._history = HISTORIES[self._at.scheme]()
 
     @property
     def shown(self) -> str:
