@@ -12,11 +12,11 @@
 ([0.6], [1.0, 0.4])
 """
 
-from residuum.identification.linear_models.prediction_error.base import Structure
 from residuum.identification.linear_models.prediction_error.criterion import Orders
 from residuum.identification.linear_models.prediction_error.identify import identify
 from residuum.identification.linear_models.prediction_error.order_selection import CRITERIA
 from residuum.identification.linear_models.prediction_error.result import in_confidence_ellipsoid
+from residuum.identification.linear_models.prediction_error.starts import Structure
 from residuum.identification.linear_models.prediction_error.structures import (
     AR,
     ARMAX,

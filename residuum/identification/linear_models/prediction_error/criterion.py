@@ -72,6 +72,17 @@ class Orders:
         if self.na + self.nb + self.nf + self.nc + self.nd == 0:
             raise BadInput("Orders: all are zero; at least one polynomial must have coefficients")
 
+    def __str__(self) -> str:
+        """Orders as a reader wants them: only those that the structure has.
+
+        >>> str(Orders(nb=2, nf=2))
+        'nb = 2, nf = 2, nk = 1'
+        """
+        parts = [
+            f"{name} = {value}" for name, value in vars(self).items() if name != "delay" and value
+        ]
+        return ", ".join([*parts, f"nk = {self.delay}"])
+
     @property
     def count(self) -> int:
         """Number of coefficients."""

@@ -12,14 +12,12 @@ from residuum.array_types import FloatArray
 from residuum.identification.blas_threads import one_thread_if_small
 from residuum.identification.errors import BadInput, NotIdentifiable
 from residuum.identification.linear_models.identified_model import IdentifiedModel
-from residuum.identification.linear_models.prediction_error.base import Structure
 from residuum.identification.linear_models.prediction_error.criterion import (
     Criterion,
     Orders,
     Polynomials,
 )
 from residuum.identification.linear_models.prediction_error.data import Signals, signals
-from residuum.identification.linear_models.prediction_error.multistart import best_fit, rough_fit
 from residuum.identification.linear_models.prediction_error.order_selection import (
     CRITERIA,
     Fold,
@@ -32,10 +30,13 @@ from residuum.identification.linear_models.prediction_error.order_selection impo
 from residuum.identification.linear_models.prediction_error.result import (
     description,
     identified_model,
-    orders_text,
 )
-from residuum.identification.linear_models.prediction_error.search import Minimum
-from residuum.identification.linear_models.prediction_error.starts import FirstValues
+from residuum.identification.linear_models.prediction_error.search import (
+    Minimum,
+    best_fit,
+    rough_fit,
+)
+from residuum.identification.linear_models.prediction_error.starts import FirstValues, Structure
 from residuum.identification.linear_models.schur import is_schur
 from residuum.identification.record import Record
 from residuum.nearest_names import known_names
@@ -116,7 +117,7 @@ def identify(
     described["provenance"] |= {"seconds": time.perf_counter() - started, "criterion": criterion}
     if scores.size:
         described["provenance"] |= {
-            "candidates": [orders_text(o) for o in possible],
+            "candidates": [str(o) for o in possible],
             criterion: scores.tolist(),
         }
     return _finish(data, fit, possible[best], described, offset)

@@ -27,12 +27,10 @@ import numpy as np
 
 from residuum.array_types import FloatArray
 from residuum.identification.errors import NotIdentifiable
-from residuum.identification.linear_models.prediction_error.base import Structure
 from residuum.identification.linear_models.prediction_error.criterion import Criterion, Orders
 from residuum.identification.linear_models.prediction_error.data import Signals
-from residuum.identification.linear_models.prediction_error.multistart import rough_fit
-from residuum.identification.linear_models.prediction_error.search import Minimum
-from residuum.identification.linear_models.prediction_error.starts import FirstValues
+from residuum.identification.linear_models.prediction_error.search import Minimum, rough_fit
+from residuum.identification.linear_models.prediction_error.starts import FirstValues, Structure
 
 Pair = tuple[FloatArray, FloatArray]
 

@@ -12,13 +12,13 @@ from scipy import stats
 from residuum.array_types import FloatArray
 from residuum.identification.errors import BadInput
 from residuum.identification.linear_models.identified_model import IdentifiedModel
-from residuum.identification.linear_models.prediction_error.base import Structure
 from residuum.identification.linear_models.prediction_error.criterion import (
     Orders,
     Polynomials,
     filtered,
 )
 from residuum.identification.linear_models.prediction_error.data import Signals
+from residuum.identification.linear_models.prediction_error.starts import Structure
 from residuum.identification.record import Record
 
 # The confidence ellipsoid of the parameters, (1.107) of the source.
@@ -164,7 +164,7 @@ def description(
             "records": [record.source for record in records],
             "n": n,
             "structure": structure.equation,
-            "orders": orders_text(orders),
+            "orders": str(orders),
         },
     }
 
@@ -234,15 +234,3 @@ def _noise(p: Polynomials) -> tuple[FloatArray | None, FloatArray | None]:
     if size == 1:
         return None, None
     return np.r_[p.c, np.zeros(size - len(p.c))], np.r_[den, np.zeros(size - len(den))]
-
-
-def orders_text(orders: Orders) -> str:
-    """Orders as a reader wants them: only those that the structure has.
-
-    >>> orders_text(Orders(nb=2, nf=2))
-    'nb = 2, nf = 2, nk = 1'
-    """
-    parts = [
-        f"{name} = {value}" for name, value in vars(orders).items() if name != "delay" and value
-    ]
-    return ", ".join([*parts, f"nk = {orders.delay}"])

@@ -1,10 +1,12 @@
 """First values for the search: high-order ARX, realisation of its impulse response, two-stage
-regression for the noise.
+regression for the noise; and what a structure makes of them.
 """
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Iterator
+from typing import ClassVar
 
 import numpy as np
 from scipy.linalg import hankel
@@ -156,3 +158,28 @@ class FirstValues:
             for k in range(count)
         ]
         return np.stack(lags, axis=1)
+
+
+class Structure(ABC):
+    """A model structure of the family A y = B/F u + C/D e: which polynomials it has, and where its
+    search starts.
+
+    `linear` structures have a quadratic criterion: their start is already the minimum.
+    """
+
+    name: ClassVar[str]
+    equation: ClassVar[str]
+    linear: ClassVar[bool] = False
+    has_input: ClassVar[bool] = True
+
+    @abstractmethod
+    def orders(self, order: int, delay: int) -> Orders:
+        """The polynomial orders that one number means for this structure."""
+
+    @abstractmethod
+    def starts(self, first: FirstValues, orders: Orders) -> Iterator[FloatArray]:
+        """First values of θ, the most promising first."""
+
+    def parameters(self, data: Signals, orders: Orders) -> int:
+        """Number of parameters that this data set must determine."""
+        return orders.count

@@ -5,10 +5,10 @@ from collections.abc import Iterator
 import numpy as np
 
 from residuum.array_types import FloatArray
-from residuum.identification.linear_models.prediction_error.base import Structure
 from residuum.identification.linear_models.prediction_error.criterion import Orders, filtered
 from residuum.identification.linear_models.prediction_error.starts import (
     FirstValues,
+    Structure,
     least_squares_arx,
 )
 
