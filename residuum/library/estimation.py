@@ -18,9 +18,10 @@ from residuum.identification.physics import (
     windows,
     with_coloured_noise,
 )
+from residuum.identification.physics.estimation.estimation import Settings
 from residuum.identification.physics.estimation.unsettled import unsettled
 from residuum.identification.record import Record
-from residuum.identification.residual_analysis.feedback import at_likelier_timing
+from residuum.identification.residual_analysis.feedback import a_step_away, at_likelier_timing
 from residuum.library.questions.estimate import Estimate as Asked
 from residuum.nearest_names import known_names
 
@@ -46,6 +47,8 @@ METHODS: dict[str, Method] = {
     "kalman": _by_likelihood,
 }
 
+_BEFORE = 1e-4
+"""Relative fall of the cost at which the model as it was is near enough to its least error."""
 _IN_PIECES = "method prediction begins anew in each piece, which an unstable plant needs"
 
 
@@ -106,7 +109,14 @@ def estimated(
 
     try:
         if asked.hold == "auto":
-            parts, result = at_likelier_timing(parts, fitted)
+            parts, result = at_likelier_timing(
+                parts,
+                fitted,
+                # Innovations of a filter are no residuals that a step could be taken from.
+                None
+                if method == "kalman"
+                else lambda best, turned: a_step_away(best, _pieces(turned, asked)),
+            )
             # what is kept aside is simulated with the timing that was found
             experiments = [
                 replace(experiment, hold=part.hold)
@@ -120,13 +130,23 @@ def estimated(
             raise diverges from None
         raise NotIdentifiable(f"{diverges}; {_IN_PIECES}") from None
     # An error before and after can be compared where both are of simulations: not by innovations.
-    before = None if method == "kalman" else estimate(start, _pieces(parts, asked), free=())
+    before = None if method == "kalman" else _unfitted(start, _pieces(parts, asked), result)
     # From the true values of a pendulum in its loop a search walked to numbers 170 times off, with
     # bands of 20 %: what did not come to rest is said, and not answered with.
     says = unsettled(result, before)
     if says and method != "prediction":
         says = (*says, _IN_PIECES)
     return Estimated(result, parts, held_out, says)
+
+
+def _unfitted(start: PhysicalModel, pieces: Sequence[Experiment], result: Estimate) -> Estimate:
+    """The model as it was, first states alone fitted, outputs weighed as for the result.
+
+    Weights of its own would be found by several searches more, which take longer the more the model
+    lacks, and only the sizes of the two errors are compared: to a thousandth, hence no digits more.
+    """
+    settings = Settings(weights=result.weights, tolerance=_BEFORE)
+    return estimate(start, pieces, free=(), settings=settings)
 
 
 def _refuse_unknown(model: PhysicalModel, free: Sequence[str] | None) -> None:

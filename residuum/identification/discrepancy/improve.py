@@ -30,6 +30,7 @@ from residuum.identification.discrepancy.policy import EXPLAINING_TIME
 from residuum.identification.errors import BadModel, NotIdentifiable
 from residuum.identification.physics import (
     Estimate,
+    Experiment,
     Key,
     PhysicalModel,
     estimate,
@@ -213,7 +214,7 @@ def _final(
     """The model on all the data, and its standard deviations. One that nothing joins is estimated
     at its least simulation error over whole records, which a search in windows does not seek.
     """
-    alone = None if final.keys else _estimated(final.model, data)
+    alone = None if final.keys else _estimated(final.model, data.experiments)
     if alone is not None:
         return alone.model, dict(zip(alone.parameters, alone.std.tolist(), strict=True))
     # a search on the part for training has not seen the rest, which the written model may learn
@@ -222,6 +223,20 @@ def _final(
     if whole is not None:
         return whole.best.model, doubts_of(whole)
     return final.model, doubts_of(replace(search, best=final))
+
+
+def _at_rest(
+    joined: Joined, search: Search, records: Sequence[Record], mapping: Mapping[str, str] | None
+) -> Joined | None:
+    """The same structure estimated at its least simulation error over whole records; None where it
+    diverges there.
+    """
+    hold = search.validation.data.experiments[0].hold
+    least = _estimated(*matched_at(joined.model, records, mapping, hold))
+    if least is None:
+        return None
+    std = dict(zip(least.parameters, least.std.tolist(), strict=True))
+    return replace(joined, model=least.model, std={**joined.std, **std})
 
 
 def _on_everything(search: Search, final: ValidatedFit, data: Data) -> Search | None:
@@ -233,9 +248,9 @@ def _on_everything(search: Search, final: ValidatedFit, data: Data) -> Search | 
     return None if best is None else replace(search, validation=validation, best=best)
 
 
-def _estimated(model: PhysicalModel, data: Data) -> Estimate | None:
+def _estimated(model: PhysicalModel, experiments: Sequence[Experiment]) -> Estimate | None:
     try:
-        return with_coloured_noise(estimate(model, data.experiments), data.experiments)
+        return with_coloured_noise(estimate(model, experiments), experiments)
     except NotIdentifiable:
         return None
 
@@ -338,7 +353,14 @@ def _as_explained(
         )
     tell(0.9, "estimating on everything")
     joined = joined_of(search, records, how.mapping, was=model if how.free else None)
-    return _improvement(model, records, joined, how, explanation)
+    improvement = _improvement(model, records, joined, how, explanation)
+    if improvement.verdict == "adequate" or not improvement.added:
+        return improvement
+    # Whether something is left is asked of whole records, and a search in windows, or one that ends
+    # where blocks are told apart, stops a few standard deviations short of the least error there.
+    rested = _at_rest(joined, search, records, how.mapping)
+    again = None if rested is None else _improvement(model, records, rested, how, explanation)
+    return improvement if again is None or again.verdict != "adequate" else again
 
 
 def _as_asked(

@@ -28,7 +28,7 @@ from residuum.identification.physics import (
 from residuum.identification.record import Record
 from residuum.identification.residual_analysis.policy import STANDS_STILL, TRAINING_SHARE
 from residuum.identification.unseen_blocks.data import data_of, long_enough
-from residuum.identification.unseen_blocks.structure import fitted
+from residuum.identification.unseen_blocks.structure import States, fitted
 from residuum.identification.unseen_blocks.tried import Search
 
 
@@ -122,11 +122,15 @@ def _moves(record: Record, begin: int, stop: int) -> bool:
     return True
 
 
-def rmse_aside(model: PhysicalModel, testing: Sequence[tuple[Experiment, int]]) -> FloatArray:
+def rmse_aside(
+    model: PhysicalModel,
+    testing: Sequence[tuple[Experiment, int]],
+    begins: Sequence[FloatArray] | None = None,
+) -> FloatArray:
     """RMS simulation error of each output over the samples that count; ∞ where the model diverges.
 
     Initial states come from the samples before those that count, or where all count from the
-    experiment itself.
+    experiment itself; `begins` (states,) of each, where they are known, is where they are sought.
     """
     simulator, experiments = Simulator(model), [e for e, _ in testing]
     beginnings = [
@@ -135,7 +139,7 @@ def rmse_aside(model: PhysicalModel, testing: Sequence[tuple[Experiment, int]]) 
     ]
     states_alone = Settings(iterations=STATES_ITERATIONS, tolerance=STATES_TOLERANCE)
     try:
-        start = estimate(model, beginnings, free=(), settings=states_alone)
+        start = estimate(model, beginnings, free=(), initial=begins, settings=states_alone)
     except NotIdentifiable:
         return np.full(len(model.outputs), np.inf)
     runs = simulator.run_each(experiments, start.initial, simulator.p(), substeps=start.substeps)
@@ -223,8 +227,37 @@ def _error(
     hold, scale = search.validation.data.experiments[0].hold, search.validation.scale
     data = data_of(*matched_at(model, parts.training, mapping, hold))
     horizon = data.horizon(search.validation.last.windows)
-    estimated = fitted(data.model, horizon, None, scale, steps=20, tolerance=1e-5)
+    # From the measured states, and from those that the search found on its way over ever longer
+    # windows: a link that turns over ends in another turn from a first angle a hundredth beside.
+    fits = [
+        fitted(data.model, horizon, states, scale, steps=20, tolerance=1e-5)
+        for states in (None, _known(search, horizon.parts))
+        if states is None or states
+    ]
+    estimated = min((fit for fit in fits if fit is not None), key=lambda f: f.cost, default=None)
     if estimated is None:
         return np.inf
     testing = testing_of(estimated.model, parts, mapping, hold)
-    return scale.error(rmse_aside(estimated.model, testing))
+    ends = {_begin(part): x for part, x in zip(horizon.parts, estimated.X0, strict=True)}
+    begins = [ends[_begin(e)] for e, _ in testing if _begin(e) in ends]
+    return scale.error(
+        rmse_aside(estimated.model, testing, begins if len(begins) == len(testing) else None)
+    )
+
+
+def _known(search: Search, parts: Sequence[Experiment]) -> States:
+    """The first states that the search found where these parts begin; none where it has not seen
+    them all.
+    """
+    last = search.validation.last
+    found = search.best.structure.states.get(last.windows)
+    if found is None:
+        return []
+    states = dict(zip(map(_begin, last.parts), found, strict=True))
+    known = [states[_begin(part)] for part in parts if _begin(part) in states]
+    return known if len(known) == len(parts) else []
+
+
+def _begin(part: Experiment) -> tuple[str, float]:
+    """The record and the time at which a part begins."""
+    return part.source, part.t0

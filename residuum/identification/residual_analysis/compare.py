@@ -22,7 +22,7 @@ from residuum.identification.physics.files.expression import Name, Node, walk
 from residuum.identification.physics.simulate.kalman import Filter, Smoothed, tune
 from residuum.identification.physics.simulate.record_checks import begins_elsewhere, leaves_tables
 from residuum.identification.record import Record
-from residuum.identification.residual_analysis.feedback import at_likelier_timing
+from residuum.identification.residual_analysis.feedback import a_step_away, at_likelier_timing
 from residuum.identification.residual_analysis.followed import check_followed
 from residuum.identification.residual_analysis.locate import Axis, Region, regions, signal_axes
 from residuum.identification.residual_analysis.noise import Floor, floor_under_drift, noise_floor
@@ -359,7 +359,7 @@ def compare(
     experiments, odd = without_odd(model, experiments)
     try:
         experiments, simulation = at_likelier_timing(
-            experiments, lambda turned: estimate(model, turned, free=())
+            experiments, lambda turned: estimate(model, turned, free=()), a_step_away
         )
     except NotIdentifiable:
         if refuse_unstable:

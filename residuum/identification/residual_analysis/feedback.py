@@ -16,7 +16,15 @@ import numpy.typing as npt
 
 from residuum.array_types import FloatArray
 from residuum.identification.errors import BadInput, NotIdentifiable
-from residuum.identification.physics import Estimate, Experiment, PhysicalModel, Simulator
+from residuum.identification.physics import (
+    Estimate,
+    Experiment,
+    PhysicalModel,
+    Simulator,
+    estimate,
+)
+from residuum.identification.physics.estimation.estimation import Settings
+from residuum.identification.physics.estimation.unsettled import PROMISED
 from residuum.identification.residual_analysis.noise import fit_noises
 from residuum.identification.residual_analysis.policy import (
     ANSWER_CERTAIN,
@@ -29,6 +37,11 @@ from residuum.identification.residual_analysis.policy import (
 )
 from residuum.identification.residual_analysis.structured_error import lasting_noise
 from residuum.identification.side_by_side import side_by_side
+
+SPEAKS_AGAINST = 10.0
+"""Logarithm of the likelihoods' ratio beyond which a timing is not fitted."""
+GRANTED = 3.0
+"""Times what the next step promises that a fit is taken to gain beyond it."""
 
 # Whether inputs were held over their sample or moved evenly to the next one: what the data say.
 
@@ -51,8 +64,28 @@ def each_turned(experiments: Sequence[Experiment]) -> list[list[Experiment]]:
     ]
 
 
+Nearby = Callable[[Estimate, list[Experiment]], Estimate]
+"""A fit to experiments at another timing, one step from the estimate that is given."""
+
+
+def a_step_away(best: Estimate, turned: Sequence[Experiment]) -> Estimate:
+    """What was estimated, after one step to the experiments at another timing, outputs weighed as
+    before; NotIdentifiable where it diverges there.
+    """
+    return estimate(
+        best.model,
+        turned,
+        free=best.parameters,
+        initial=best.initial,
+        settings=Settings(weights=best.weights, iterations=1),
+        substeps=best.substeps,
+    )
+
+
 def at_likelier_timing(
-    experiments: Sequence[Experiment], fitted: Callable[[list[Experiment]], Estimate]
+    experiments: Sequence[Experiment],
+    fitted: Callable[[list[Experiment]], Estimate],
+    nearby: Nearby | None = None,
 ) -> tuple[list[Experiment], Estimate]:
     """What is fitted with inputs held over their samples or moving evenly between them, whichever
     leaves the smaller innovations.
@@ -61,7 +94,8 @@ def at_likelier_timing(
     error of its own, and as parameters that lie many standard deviations beside the truth. Where
     noise is slow the error itself does not tell them apart: half a sample is fast. All inputs are
     turned at once, then each of several for itself: one may be a controller's, which holds, and
-    another a measured one.
+    another a measured one. Where `nearby` says what a step from the best fit gives, a timing that
+    this leaves far behind is not fitted: a fit costs ten times as much.
     """
 
     def tried(turned: list[Experiment]) -> tuple[list[Experiment], Estimate] | NotIdentifiable:
@@ -70,12 +104,44 @@ def at_likelier_timing(
         except NotIdentifiable as diverges:
             return diverges
 
-    first, alternative = side_by_side(tried, [list(experiments), turned_timing(experiments)])
+    def likelier(
+        best: tuple[list[Experiment], Estimate], turned: list[list[Experiment]]
+    ) -> tuple[list[Experiment], Estimate]:
+        if nearby is not None:
+            open_ = side_by_side(lambda one: _in_question(best[1], one, nearby), turned)
+            turned = [one for one, asked in zip(turned, open_, strict=True) if asked]
+        return _likelier([best, *side_by_side(tried, turned)])
+
+    at_all = turned_timing(experiments)
+    if nearby is None:
+        first, alternative = side_by_side(tried, [list(experiments), at_all])
+    else:
+        first = tried(list(experiments))
     # a model that diverges at the timing it was given is refused, whatever it does at the other one
     if isinstance(first, NotIdentifiable):
         raise first
-    best = _likelier([first, alternative])
-    return _likelier([best, *side_by_side(tried, each_turned(best[0]))])
+    best = _likelier([first, alternative]) if nearby is None else likelier(first, [at_all])
+    return likelier(best, each_turned(best[0]))
+
+
+def _in_question(best: Estimate, turned: list[Experiment], nearby: Nearby) -> bool:
+    """Whether a fit at another timing may leave smaller innovations than the best so far.
+
+    Not where a step from the best is at rest there and the data still speak against it: with n rows
+    and variances v of innovations twice the logarithm of the likelihoods' ratio is n Σ Δ log v.
+    What the next step promises is granted several times over, all of it to one output.
+    """
+    try:
+        near = nearby(best, turned)
+    except NotIdentifiable:
+        return True
+    if not near.promised <= PROMISED:
+        return True
+    measured = np.isfinite(np.concatenate(near.residuals))
+    rows, outputs = np.any(measured, axis=1).sum(), np.any(measured, axis=0).sum()
+    granted = GRANTED * outputs * near.promised
+    behind = innovations_of(near.residuals) - innovations_of(best.residuals)
+    return not behind > granted + 2.0 * SPEAKS_AGAINST / rows
 
 
 def _likelier(

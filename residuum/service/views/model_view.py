@@ -34,7 +34,7 @@ from residuum.identification.physics.files.expression import Call, Name, Node, N
 from residuum.identification.record import Record
 from residuum.identification.residual_analysis import term_curves
 from residuum.identification.residual_analysis.compare import Comparison, compare
-from residuum.identification.residual_analysis.feedback import at_likelier_timing
+from residuum.identification.residual_analysis.feedback import a_step_away, at_likelier_timing
 from residuum.identification.residual_analysis.locate import Axis
 from residuum.library.answers.comparison import comparison_json
 from residuum.library.questions.compare import Compare
@@ -288,7 +288,9 @@ def add_effect(
     # looks as if it moved. Bands with the noise's colour: as of white noise they were six times too
     # narrow at a correlation of 0.95 from sample to sample.
     timed, after = at_likelier_timing(
-        training, lambda tried: with_coloured_noise(estimate(larger, tried), tried)
+        training,
+        lambda tried: with_coloured_noise(estimate(larger, tried), tried),
+        a_step_away,
     )
     # At another input timing the model as it is has another error, to be compared with the new one.
     if timed[0] is not training[0]:

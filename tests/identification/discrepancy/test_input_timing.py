@@ -7,7 +7,7 @@ from residuum.identification.discrepancy.explain import explain
 from residuum.identification.discrepancy.improve import improve
 from residuum.identification.physics import estimate, match, read_model
 from residuum.identification.record import Record
-from residuum.identification.residual_analysis.feedback import at_likelier_timing
+from residuum.identification.residual_analysis.feedback import a_step_away, at_likelier_timing
 
 MASS = """name: mass
 inputs: {force: N}
@@ -63,6 +63,38 @@ def test_each_of_several_inputs_has_its_own_timing():
     assert turned[0].hold.tolist() == [0.0, 0.0]
     assert np.all(np.abs(found.theta - [2.0, 3.0]) < 4.0 * found.std)
     assert explain(model, [record], effects=["input-delay", "input-lag"]).verdict == "adequate"
+
+
+def test_timings_that_a_step_leaves_far_behind_are_not_fitted():
+    """Of six fits to four inputs, what was chosen, its values and their bands are those of all six, to the last digit."""
+    names = ("force", "wind", "slope", "load")
+    text = MASS.replace(
+        "inputs: {force: N}", f"inputs: {{{', '.join(f'{n}: N' for n in names)}}}"
+    ).replace("drive: force", ", ".join(f"{n}: {n}" for n in names))
+    rng = np.random.default_rng(7)
+    n, h = 2000, 0.01
+    pushes = {
+        name: np.convolve(rng.normal(size=n + 40), np.hanning(40), "same")[:n] for name in names
+    }
+    v, decay = np.zeros(n), np.exp(-1.5 * h)
+    for k in range(n - 1):
+        v[k + 1] = decay * v[k] + (1.0 - decay) * sum(u[k] for u in pushes.values()) / 3.0
+    channels = pushes | {"speed": v + 1e-4 * rng.normal(size=n)}
+    record = Record(channels, dict.fromkeys(names, "N") | {"speed": "m/s"}, h)
+    model, experiments = match(read_model(text), [record])
+    fits = {"all": [], "some": []}
+
+    def fitted(which):
+        return lambda tried: fits[which].append(estimate(model, tried)) or fits[which][-1]
+
+    turned, found = at_likelier_timing(experiments, fitted("all"))
+    nearby, as_well = at_likelier_timing(experiments, fitted("some"), a_step_away)
+    assert nearby[0].hold.tolist() == turned[0].hold.tolist() == [0.0] * 4
+    assert as_well.theta.tolist() == found.theta.tolist()
+    assert as_well.covariance.tolist() == found.covariance.tolist()
+    assert np.all(np.abs(found.theta - [2.0, 3.0]) < 4.0 * found.std)
+    # The first, and that with all turned, which is right: none with one of them turned back.
+    assert (len(fits["all"]), len(fits["some"])) == (6, 2)
 
 
 @pytest.mark.parametrize("held", [True, False])

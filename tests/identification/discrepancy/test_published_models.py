@@ -3,7 +3,8 @@
 import pytest
 
 from benchmarks.published_equations import PLANTS
-from benchmarks.published_models import AGREEMENT, FILES, difference, model_of
+from benchmarks.published_models import AGREEMENT, FILES, difference, hidden_record, model_of
+from residuum.identification.discrepancy.improve import improve
 from residuum.identification.physics import Key, candidates
 
 
@@ -16,3 +17,25 @@ def test_each_file_is_read_and_may_lack_what_its_machine_hides():
     assert {path.stem for path in FILES.glob("*.yaml")} == set(PLANTS)
     for name, plant in PLANTS.items():
         assert Key(*plant.hidden.split("@")) in candidates(model_of(name))
+
+
+def test_an_improved_model_is_judged_at_its_least_error_over_the_whole_record():
+    """A tank integrates what its values err by: three standard deviations were called an unknown effect."""
+    plant, record = PLANTS["pump-station"], hidden_record("pump-station")
+    improved = improve(model_of("pump-station"), [record], effects=["overflow", "leak"])
+    assert [use.label for use in improved.added] == [plant.hidden]
+    assert improved.verdict == "adequate"
+    values, (rim,) = improved.model.values, improved.added
+    for name, truth in (("c", plant.size), ("h_max", 2.5)):
+        std = rim.provenance[f"std_{name}"]
+        assert abs(values[f"{rim.label}.{name}"] - truth) < 3.0 * std
+
+
+def test_a_link_that_turns_over_is_begun_where_the_search_found_it():
+    """From measured first angles, a hundredth beside, it ends in another turn: the effect that it has was refused."""
+    plant, record = PLANTS["robot-joint"], hidden_record("robot-joint")
+    improved = improve(model_of("robot-joint"), [record], effects=["viscous-friction"])
+    assert [use.label for use in improved.added] == [plant.hidden] and not improved.refused
+    assert improved.verdict == "adequate"
+    (friction,) = improved.added
+    assert abs(friction.parameters["d"].value - plant.size) < 3.0 * friction.provenance["std_d"]

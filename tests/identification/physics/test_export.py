@@ -70,6 +70,23 @@ balances:
       b: 0.02 * h * (atan(s) + cosh(s) - sinh(s) + asin(s / 9) + acos(s / 9) + tan(s / 9))
 outputs: {level: {value: h, unit: m}, angle: {value: "where(n != 1 and n <= 4, atan2(h, R), 1)"}}
 """
+SHARED = """
+name: equations that name each other
+inputs: {n: 1/s}
+states: {h: {unit: m}, x: {unit: m}}
+parameters: {A: {value: 2.0, unit: m**2}, k: {value: 0.4, unit: 1/s}, T: {value: 2.0, unit: s}, top: {value: 0.35}}
+constants: {R: 0.5 m}
+let:
+  s: n * T / 5
+  a: "table(h / R, s, [0, 1, 2, 3], [-2, 0, 1], [[0.1, 0.3, 0.2], [0, 0.2, 0.4], [-0.1, 0.1, 0.3], [0.2, 0, 0.1]])"
+  b: "where(a > 0.15, a * sqrt(abs(a)), a**2 * (1 + a)) + table(s, [-2, 0, 1, 5], [0, top, 0.4, -0.1], cubic)"
+  c: max(a, b, 0.2 * a * b) + hypot(a, b) / 3 - min(a * b, 0.1)
+balances:
+  tank: {kind: volume, storage: A * der(h), terms: {in: k * A * R * (b + c), out: -k * A * h * (1 + a * b)}, level: h}
+  lag: {kind: signal, storage: T * der(x), terms: {itself: -x, level: h * c * b}}
+outputs: {level: {value: h * (1 + a), unit: m}, open: {value: b}}
+effects: [{id: output-lag, output: open, parameters: {tau: 0.05}}]
+"""
 DT, SUBSTEPS, CLOSE = 0.01, 500, 1e-6
 BUILT_IN = ("gate-drive", "oven", "linear-axis", "oscillator", "two-tanks", "process")
 
@@ -79,6 +96,7 @@ def models():
     mended = [
         read_model(AXIS),
         read_model(PUMP),
+        read_model(SHARED),
         drive.with_effect("viscous-friction", "shaft", {"d": 3e-5}).with_effect(
             "inductance", "winding", {"L": 1e-3}
         ),
@@ -201,9 +219,9 @@ def from_modelica(model, U, tmp_path):
 
 WAYS = [
     *((model, way) for model in models() for way in (from_python, from_fmu)),
-    (models()[-1], from_c),
+    *((model, from_c) for model in (models()[-1], read_model(SHARED))),
 ]
-WAYS += [(model, from_modelica) for model in models()[: len(BUILT_IN) + 2]]
+WAYS += [(model, from_modelica) for model in models()[: len(BUILT_IN) + 3]]
 """The library of an FMU is the exported C, compiled; Modelica is read back where no dry friction needs its tool's events."""
 
 
@@ -215,6 +233,17 @@ def test_the_export_moves_as_the_model_does(model, run_exported, tmp_path):
     truth, seen = expected(model, U), run_exported(model, U, tmp_path)
     assert np.ptp(truth, axis=0).min() > 0.0
     np.testing.assert_allclose(seen, truth, rtol=0, atol=CLOSE * np.ptp(truth, axis=0).max())
+
+
+@pytest.mark.parametrize("to", EXPORTS)
+def test_what_is_large_and_named_in_several_places_is_written_once_a_function(to):
+    """Written out each time, an engine of 94 equations would be a text of many megabytes."""
+    made = explicit(read_model(SHARED))
+    text = EXPORTS[to](made)
+    assert len(made.defined) >= 2
+    for name in made.defined:
+        assert 1 <= len(re.findall(rf"\b{name} = ", text)) <= 3
+    assert len(text) < 40_000
 
 
 def held(U, names):

@@ -4,10 +4,11 @@ import numpy as np
 import pytest
 
 import residuum as rs
-from residuum.identification.physics import read_model
+from residuum.identification.physics import match, read_model
 from residuum.identification.record import Record
 from residuum.identification.residual_analysis.compare import compare
-from residuum.identification.residual_analysis.odd_readings import far_beside
+from residuum.identification.residual_analysis.odd_readings import far_beside, without_odd
+from residuum.identification.work import Work, counted_as
 
 TANK = """
 name: tank
@@ -283,3 +284,16 @@ def test_what_a_thermometer_reads_before_its_first_conversion_is_left_out(rows):
     assert not far_beside(y, "rpm")[1] and not far_beside(y)[1]
     y[:rows], y[300 : 300 + rows] = 21.0, 85.0
     assert not far_beside(y, "degC")[1], "in the midst no thermometer is switched on"
+
+
+@pytest.mark.parametrize(("odd", "left_out", "simulated"), [(None, 0, 0), (-127.0, 1, 1)])
+def test_a_record_in_which_nothing_stands_out_is_not_simulated_for_it(odd, left_out, simulated):
+    power, y, _ = tank(0)
+    if odd is not None:
+        y[300] = odd
+    channels, units = {"power": power, "measured": y}, {"power": "W", "measured": "degC"}
+    model, experiments = match(read_model(TANK), [Record(channels, units, 10.0)])
+    with counted_as(Work()) as work:
+        without, _ = without_odd(model, experiments)
+    assert np.isnan(without[0].Y).sum() == left_out
+    assert work.fits == simulated

@@ -27,7 +27,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import sympy as sp
 
@@ -100,24 +100,6 @@ class Equations:
     surfaces: Mapping[int, sp.Symbol]
     delays: Mapping[str, sp.Symbol]
     defined: Mapping[sp.Symbol, sp.Expr]
-
-    def written_out(self) -> Equations:
-        """The same without symbols that are defined."""
-        put: dict[sp.Symbol, sp.Expr] = {}
-        for symbol, expression in self.defined.items():
-            put[symbol] = expression.xreplace(put)
-
-        def all_of(family: Mapping[str, sp.Expr]) -> dict[str, sp.Expr]:
-            return {name: sp.sympify(e).xreplace(put) for name, e in family.items()}
-
-        return replace(
-            self,
-            rates=tuple(sp.sympify(rate).xreplace(put) for rate in self.rates),
-            outputs=all_of(self.outputs),
-            signals=all_of(self.signals),
-            initial=all_of(self.initial),
-            defined={},
-        )
 
 
 def compose(model: PhysicalModel) -> Equations:

@@ -114,6 +114,7 @@ def _locals(model: ExplicitModel, used: set[Any], target: str) -> list[str]:
         for key in model.components
         if model.symbols[key] in used
     ]
+    lines += [f"{name} = {_code(e)}" for name, e in model.defined_in(used).items()]
     return [f"    const double {line};" for line in lines]
 
 

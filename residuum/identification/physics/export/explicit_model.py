@@ -54,7 +54,8 @@ class ExplicitModel:
     `units` and `meanings` by identifier; `values` by parameter. `components` are the terms of
     effects by identifier; rates name them. `directions` has the symbol, in rates and components, of
     the direction of each velocity that can stand still; `with_signs` puts the sign of the velocity
-    there.
+    there. `defined` are the large expressions that stand in several places, by identifier, each
+    after those it names: a text computes them once.
     """
 
     name: str
@@ -71,6 +72,7 @@ class ExplicitModel:
     values: Mapping[str, float]
     components: Mapping[str, Component]
     directions: Mapping[str, Any]
+    defined: Mapping[str, Any]
 
     def head(self, comment: str, *, at_rest: bool = False) -> list[str]:
         """The first lines of any text: what it is, and what it does at standstill: `at_rest`, as
@@ -86,8 +88,17 @@ class ExplicitModel:
         ]
 
     def symbols_in(self, expressions: Mapping[str, Any]) -> set[Any]:
-        """The symbols that any of the expressions names."""
-        return set().union(*(sp.sympify(e).free_symbols for e in expressions.values()))
+        """The symbols that any of the expressions names, itself or by what is defined."""
+        used = set().union(*(sp.sympify(e).free_symbols for e in expressions.values()))
+        # Backwards: a definition names only those before it.
+        for name, expression in reversed(list(self.defined.items())):
+            if self.symbols[name] in used:
+                used |= expression.free_symbols
+        return used
+
+    def defined_in(self, used: set[Any]) -> dict[str, Any]:
+        """What is defined of the symbols that `symbols_in` found, in order."""
+        return {name: e for name, e in self.defined.items() if self.symbols[name] in used}
 
     def with_signs(self, expression: Any) -> Any:
         """An expression with each direction as the sign of its velocity."""
@@ -110,10 +121,11 @@ class _Identifiers:
     parameters: Mapping[str, str]
     outputs: Mapping[str, str]
     terms: Mapping[str, str]
+    defined: Mapping[str, str]
 
     def symbols(self) -> dict[str, Any]:
         """The symbol of each identifier that equations name, and of the time."""
-        families = (self.states, self.inputs, self.parameters, self.terms)
+        families = (self.states, self.inputs, self.parameters, self.terms, self.defined)
         identifiers = [new for family in families for new in family.values()]
         return {new: sp.Symbol(new, real=True) for new in (*identifiers, "time")}
 
@@ -156,7 +168,8 @@ def explicit(model: PhysicalModel) -> ExplicitModel:
             f"model {model.name!r}: {of_records[0]!r} has a value for each record, which no export"
             " holds; write the one to export as its 'value' and leave out 'per'"
         )
-    equations = _undelayed(model)
+    equations = compose(model)
+    _refuse_unwritable(model, equations)
     places = _effect_terms(model, equations)
     # names that the texts themselves use
     taken: set[str] = {"time", "t", "x", "u", "p", "y", "s", "dx"}
@@ -188,6 +201,9 @@ def explicit(model: PhysicalModel) -> ExplicitModel:
         values={new: model.values[old] for old, new in names.parameters.items()},
         components=components,
         directions=directions,
+        defined={
+            names.defined[str(symbol)]: rewriting.put(e) for symbol, e in equations.defined.items()
+        },
     )
 
 
@@ -207,6 +223,7 @@ def _named(
         parameters=_identifiers([name for name in equations.p if name not in unknown], taken),
         outputs=_identifiers(equations.outputs, taken),
         terms=_identifiers([title for title, _, _ in places.values()], taken),
+        defined=_identifiers(map(str, equations.defined), taken),
     )
 
 
@@ -220,6 +237,7 @@ def _swapped(
     """Every symbol of the equations → what stands for it in the text; unknown terms are zero."""
     swap = {equations.p[b.missing]: sp.S.Zero for b in model.balances.values()}
     swap |= _renamed(equations, symbols, names.states, names.inputs, names.parameters)
+    swap |= {symbol: symbols[names.defined[str(symbol)]] for symbol in equations.defined}
     states = list(equations.x)
     for k, symbol in equations.surfaces.items():
         swap[symbol] = directions[names.states[states[k]]]
@@ -266,12 +284,25 @@ def _first_states(
 ) -> dict[str, Any]:
     """First values by state, none of them in terms of another state's."""
     own_first = {
-        name: rewriting.put(equations.initial.get(old, model.first_values.get(old, 0.0)))
+        name: rewriting.put(
+            # Written out: first values stand in it for states, wherever these are named.
+            _without(
+                equations.defined, equations.initial.get(old, model.first_values.get(old, 0.0))
+            )
+        )
         for old, name in names.states.items()
     }
     first = {symbols[name]: value for name, value in own_first.items()}
     # twice: an effect's state may begin at that of another effect, which begins at the model's
     return {name: value.subs(first).subs(first) for name, value in own_first.items()}
+
+
+def _without(defined: Mapping[Any, Any], expression: Any) -> Any:
+    """An expression with what its symbols stand for written out."""
+    e = sp.sympify(expression)
+    while named := {symbol: defined[symbol] for symbol in e.free_symbols if symbol in defined}:
+        e = e.xreplace(named)
+    return e
 
 
 def _owners(model: PhysicalModel, equations: Equations) -> dict[str, str]:
@@ -306,20 +337,19 @@ def _directions(equations: Equations, states: Mapping[str, str], taken: set[str]
     return {v: sp.Symbol(new, real=True) for v, new in zip(velocities, names.values(), strict=True)}
 
 
-def _undelayed(model: PhysicalModel) -> Equations:
-    # Texts have no symbols that are defined elsewhere.
-    equations = compose(model).written_out()
-    if any(sp.sympify(e).has(Root) for e in (*equations.rates, *equations.outputs.values())):
+def _refuse_unwritable(model: PhysicalModel, equations: Equations) -> None:
+    values = (*equations.rates, *equations.outputs.values(), *equations.defined.values())
+    if any(sp.sympify(e).has(Root) for e in values):
+        solved = [balance.name for balance in model.balances.values() if balance.start is not None]
         raise BadModel(
-            f"export: model {model.name!r} solves balances by Newton's method (start:), which no"
-            " exported text can hold; solve them for their variables by hand"
+            f"export: model {model.name!r} solves {', '.join(solved)} by Newton's method (start:),"
+            " which no exported text can hold; solve them for their variables by hand"
         )
     for delayed in equations.delays:
         raise BadModel(
             f"export: input {delayed!r} is delayed, which no exported text can hold; take the delay"
             " out, and delay what drives it"
         )
-    return equations
 
 
 def _renamed(

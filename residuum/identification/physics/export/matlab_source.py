@@ -65,7 +65,7 @@ def _function(
 ) -> list[str]:
     # No directions in MATLAB texts: sign(v) of an exact zero is 0, as their head says.
     expressions = {name: model.with_signs(e) for name, e in expressions.items()}
-    used = set().union(*(e.free_symbols for e in expressions.values())) if expressions else set()
+    used = model.symbols_in(expressions)
     families = {"x": model.states, "u": model.inputs}
     local = [
         f"{n} = {a}({k + 1});"
@@ -79,5 +79,6 @@ def _function(
         for key in model.components
         if model.symbols[key] in used
     ]
+    local += [f"{n} = {sp.octave_code(e)};" for n, e in model.defined_in(used).items()]
     values = ", ".join(f"({sp.octave_code(e)})" for e in expressions.values())
     return [f"function value = {signature}", *local, f"value = [{values}];", "end", ""]

@@ -20,6 +20,7 @@ def modelica_source(model: ExplicitModel) -> str:
     ]
     inputs = [f'  input Real {n} "{model.described(n)}";' for n in model.inputs]
     states = [f'  Real {n} "{model.described(n)}";' for n in model.states]
+    defined = [f"  Real {n};" for n in model.defined]
     terms = [f'  Real {n} "{part.title} [{part.unit}]";' for n, part in model.components.items()]
     outputs = [f'  output Real y_{n} "{model.described(n)}";' for n in model.outputs]
     return "\n".join(
@@ -29,11 +30,13 @@ def modelica_source(model: ExplicitModel) -> str:
             *parameters,
             *inputs,
             *states,
+            *defined,
             *terms,
             *outputs,
             "initial equation",
             *(f"  {n} = {_code(e)};" for n, e in model.initial.items()),
             "equation",
+            *(f"  {n} = {_code(model.with_signs(e))};" for n, e in model.defined.items()),
             *(f"  der({n}) = {_code(model.with_signs(e))};" for n, e in model.rates.items()),
             *(
                 f"  {n} = {_code(model.with_signs(part.expression))};"

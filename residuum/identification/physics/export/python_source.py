@@ -166,9 +166,11 @@ def _component(model: ExplicitModel, key: str) -> list[str]:
 
 
 def _function(model: ExplicitModel, name: str, expressions: Any, arguments: str) -> list[str]:
-    local = _locals(model, model.symbols_in(expressions), arguments.split(", "))
+    used = model.symbols_in(expressions)
     # Imported with the first text: SymPy takes a fifth of a second.
     printed = import_module("sympy.printing.numpy").NumPyPrinter()
+    local = _locals(model, used, arguments.split(", "))
+    local += [f"    {n} = {_code(printed, e)}" for n, e in model.defined_in(used).items()]
     now = {model.symbols[key]: sp.Symbol(f"{key}_now", real=True) for key in model.components}
     values = [_code(printed, sp.sympify(e).subs(now)) for e in expressions.values()]
     body = (
