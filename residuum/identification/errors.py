@@ -163,6 +163,10 @@ class BadModel(BadInput):
     """
 
 
+class Forbidden(BadInput):
+    """It would run code that is run only where somebody allowed that."""
+
+
 class NoExplicitEquations(BadModel):
     """A model whose equations cannot be made explicit: an algebraic loop, a division by zero, a
     function without a slope.

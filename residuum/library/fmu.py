@@ -20,27 +20,25 @@ from residuum.identification.physics import Experiment, PhysicalModel, estimate,
 from residuum.identification.physics.effects.base import Parameter
 from residuum.identification.physics.fmu.co_simulation import OwnSimulation
 from residuum.identification.physics.fmu.description import Description
-from residuum.identification.physics.fmu.fmu_model import exchange_model, is_exchangeable
-from residuum.identification.physics.fmu.instance import Instance
-from residuum.identification.physics.fmu.loaded_library import LoadedLibrary, load
+from residuum.identification.physics.fmu.fmu_model import exchange_model
+from residuum.identification.physics.fmu.instance import Instance, instance_of
+from residuum.identification.physics.fmu.loaded_library import LoadedLibrary, library_of
 from residuum.identification.physics.fmu.parameter_file import (
+    Named,
     free_missing,
     named,
     parameter_of,
     settable,
     text,
 )
-from residuum.identification.physics.fmu.parameters import (
-    ExchangedParameters,
-    SimulatedParameters,
-    with_steps,
-)
+from residuum.identification.physics.fmu.parameters import SimulatedParameters
 from residuum.identification.physics.fmu.simulated_model import (
     inputs_of,
     simulated_model,
     with_simulation,
     without_rows,
 )
+from residuum.identification.physics.fmu.watched_model import exchanged_model, watched_model
 from residuum.identification.record import Record as MeasuredRecord
 from residuum.identification.residual_analysis.feedback import at_likelier_timing
 from residuum.library.improvement import Estimation
@@ -56,7 +54,8 @@ def fmu(path: str | PathLike[str]) -> FmuModel:
     """An FMU (FMI 2.0 or 3.0) as a model, or a model file that names one (`fmu: drive.fmu`).
 
     Its library is loaded into this process: one that breaks down ends the process. The commands
-    `compare`, `explain`, `improve` and `estimate` run it in a process of their own.
+    `compare`, `explain`, `improve`, `estimate`, `train` and `score` run it in a process of their
+    own.
 
     Parameters
     ----------
@@ -115,8 +114,8 @@ class FmuModel(Model):
         self._own: OwnSimulation | None = None
         # With states that can be read and set effects act in balances; any other FMU is simulated
         # along a record, and effects are judged on the paths of its outputs.
-        if is_exchangeable(described):
-            self._library = _loaded(self._instance)
+        if described.is_exchangeable:
+            self._library = library_of(self._instance)
             self._library.settle(self._set)
             physical = exchange_model(self._library)
         else:
@@ -159,10 +158,7 @@ class FmuModel(Model):
 
     @property
     def _instance(self) -> Instance:
-        # The time of the file's last change is part of the key: an FMU that was written anew is
-        # loaded anew, one that was not is loaded once for all records.
-        path = Path(self._described.path)
-        return _instance(str(path), path.stat().st_mtime_ns)
+        return instance_of(self._described)
 
     @property
     def _set(self) -> dict[str, float]:
@@ -177,7 +173,6 @@ class FmuModel(Model):
     def _simulated(self, records: Sequence[MeasuredRecord], map: Mapped) -> list[MeasuredRecord]:
         """The records with what an FMU that simulates itself computes along them."""
         if self._library is not None:
-            self._library.call()
             self._library.settle(self._set)
         if self._own is None:
             return list(records)
@@ -259,9 +254,8 @@ class FmuModel(Model):
         model, lent = self._lent(parameters, taken, map)
         measured = model._measured(lent, map)
         foreign: Any = model.physical.foreign
-        # A step of differences is chosen for each of them before the search, at the start values.
-        differenced = [n for n in free if n in parameters and n not in self._derivatives(model)]
-        foreign.steps = with_steps(*_matched(model, measured, map, asked.hold), names=differenced)
+        # Before the search, at the start values.
+        foreign.choose_steps(*_matched(model, measured, map, asked.hold))
         estimation = model.estimate(measured, map=map, **asked.model_dump() | {"free": free})
         fitted = estimation.found.model
         values = {n: replace(p, value=fitted.values[n]) for n, p in parameters.items()}
@@ -298,26 +292,21 @@ class FmuModel(Model):
         """The model in which the FMU's parameters can be moved, and the records as it takes
         them.
         """
-        foreign: ExchangedParameters | SimulatedParameters
-        if self._own is None:
-            library = _loaded(
-                self._instance, tuple(n for n, p in parameters.items() if not p.fixed)
-            )
-            library.call()
-            foreign, physical = ExchangedParameters(library), exchange_model(library, parameters)
-            lent = list(records)
-        else:
-            lent = with_simulation(self._own, records, map or {}, self._set)
-            signals = [(inputs_of(self._described, r, map or {}), r.sample_time) for r in records]
-            foreign = SimulatedParameters(self._own, signals)
-            physical = simulated_model(self._described, parameters)
         effects = self.physical.effects
+        if self._own is None:
+            exchanged = exchanged_model(self._described, parameters, effects)
+            return Model(exchanged, self._given), list(records)
+        lent = with_simulation(self._own, records, map or {}, self._set)
+        signals = [(inputs_of(self._described, r, map or {}), r.sample_time) for r in records]
+        foreign = SimulatedParameters(self._own, signals)
+        physical = simulated_model(self._described, parameters)
         return Model(replace(physical, effects=effects, foreign=foreign), self._given), lent
 
-    def _derivatives(self, model: Model) -> tuple[str, ...]:
-        """Parameters by which the FMU gives directional derivatives."""
-        foreign = model.physical.foreign
-        return foreign.library.parameters if isinstance(foreign, ExchangedParameters) else ()
+    @property
+    def watched(self) -> PhysicalModel:
+        """With the parameters that are followed from window to window: those that are not fixed."""
+        plain = watched_model(Named(self._described, self._values))
+        return replace(plain, effects=self.physical.effects)
 
 
 def _matched(
@@ -343,20 +332,6 @@ def _slope_methods(
             zip(("by", "step", "error"), how, strict=True), unit=parameters[name].unit
         )
     return methods
-
-
-@lru_cache(maxsize=8)
-def _instance(path: str, changed: int) -> Instance:
-    """The one instance of an FMU in this process, of this version of its file."""
-    described = named(path).described
-    # An FMU that cannot be simulated by itself is exchanged, whatever else it lacks.
-    return Instance(described, exchanged=is_exchangeable(described) or described.simulation is None)
-
-
-@lru_cache(maxsize=8)
-def _loaded(instance: Instance, asked: tuple[str, ...] = ()) -> LoadedLibrary:
-    """Compiled once for each set of parameters."""
-    return load(instance, asked)
 
 
 @lru_cache(maxsize=8)

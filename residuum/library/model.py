@@ -288,6 +288,11 @@ class Model(DescribedModel):
     ('coulomb-friction@axis',)
     """
 
+    @property
+    def watched(self) -> PhysicalModel:
+        """The model that a machine is watched by."""
+        return self.physical
+
     def _measured(self, records: Records, map: Mapped) -> list[MeasuredRecord]:
         """The records, cut where an input was not measured."""
         return measured_parts(self.physical, as_records(records), map)

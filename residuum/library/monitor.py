@@ -22,6 +22,7 @@ from residuum.diagnosis.finding import Verdict
 from residuum.diagnosis.residuals.generators.physical_prediction import PREDICTION, with_prediction
 from residuum.identification.errors import BadInput, BadRecord
 from residuum.identification.physics import PhysicalModel
+from residuum.identification.physics.fmu.permission import fmus_allowed
 from residuum.identification.record import Record as MeasuredRecord
 from residuum.library.finding import Finding
 from residuum.library.model import Mapped, Model, Records
@@ -334,7 +335,7 @@ class Monitor(OutlierMixin, BaseEstimator):
         if isinstance(self.source, Model):
             name = self.diagnoser or (MODEL_BASED if MODEL_BASED in DIAGNOSERS else "")
             if name:
-                return untrained(diagnoser_class(name), model=self.source.physical, **settings)
+                return untrained(diagnoser_class(name), model=self.source.watched, **settings)
             return PhysicalResidual(self.source.physical, **settings)
         return untrained(diagnoser_class(self.diagnoser or self.source), **settings)
 
@@ -389,7 +390,7 @@ def monitor(
     return Monitor(source, diagnoser, map, settings or None)
 
 
-def load_monitor(diagnoser: str, path: str | PathLike[str]) -> Monitor:
+def load_monitor(diagnoser: str, path: str | PathLike[str], *, allow_fmus: bool = False) -> Monitor:
     """The monitor whose trained diagnoser `Monitor.save` or `residuum train --out` stored.
 
     Parameters
@@ -397,6 +398,9 @@ def load_monitor(diagnoser: str, path: str | PathLike[str]) -> Monitor:
     diagnoser : str
         Its id.
     path : str or path
+    allow_fmus : bool
+        Read a baseline that holds an FMU, too, whose native code then runs in this process. Say it
+        of files whose author you trust.
 
     Returns
     -------
@@ -406,6 +410,8 @@ def load_monitor(diagnoser: str, path: str | PathLike[str]) -> Monitor:
     ------
     BadInput
         An unknown diagnoser; not the file of one of this kind.
+    Forbidden
+        It holds an FMU, and `allow_fmus` was not said.
 
     Examples
     --------
@@ -416,7 +422,8 @@ def load_monitor(diagnoser: str, path: str | PathLike[str]) -> Monitor:
     'healthy'
     """
     loaded = Monitor(diagnoser)
-    loaded.diagnoser_ = diagnoser_class(diagnoser).load(Path(path))
+    with fmus_allowed(allow_fmus):
+        loaded.diagnoser_ = diagnoser_class(diagnoser).load(Path(path))
     return loaded
 
 

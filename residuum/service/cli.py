@@ -13,6 +13,7 @@ from typing import Any
 import typer
 
 from residuum.identification.errors import SAID_IN, BadInput
+from residuum.identification.physics.fmu.permission import holds_fmu
 from residuum.nearest_names import known_names
 from residuum.service.commands import COMMANDS, as_option
 from residuum.service.entry import end_at_once
@@ -75,7 +76,14 @@ def _exit_status(name: str, words: list[str]) -> int:
 
 def _run_command(name: str, words: list[str]) -> int:
     # an FMU is machine code of somebody else's: what it does to its process, it does to that alone
-    fmus = [word for word in words if names_fmu(word)]
+    # `--model=drive.fmu` is one word
+    values = [word.partition("=")[2] if word.startswith("--") else word for word in words]
+    fmus = [
+        value
+        for value in values
+        # only `score` reads baselines; a word that is a pipe is not looked into
+        if names_fmu(value) or (name == "score" and Path(value).is_file() and holds_fmu(value))
+    ]
     if fmus:
         apart = import_module("residuum.service.commands.fmu_process")
         if apart.is_wanted(name):

@@ -11,9 +11,12 @@ import tempfile
 from collections.abc import Callable
 from pathlib import Path
 
-from residuum.identification.errors import BadInput, BadModel
+from residuum.diagnosis.learning.stored import load_stored
+from residuum.identification.errors import BadInput, BadModel, Forbidden
 from residuum.identification.linear_models.identified_model_file import load_identified
 from residuum.identification.physics.files.model_file import load_model
+from residuum.identification.physics.fmu.description import describe
+from residuum.identification.physics.fmu.permission import ARRAY, holds_fmu
 from residuum.service.machines.scoring import diagnoser_class
 from residuum.service.work.limited_process import run_limited, within_limits
 
@@ -25,6 +28,10 @@ MODEL_KINDS: dict[str, tuple[str, str]] = {
 """Media type and file ending of each kind."""
 
 
+_NO_FMUS = (
+    "model file: holds an FMU, which is native code; this service runs none, as its setting"
+    " allow_fmus says"
+)
 # Bytes up to which a model's text is read in the service itself: parsing YAML of 200 kB takes
 # seconds of the interpreter.
 _SHORT = 16 * 2**10
@@ -36,10 +43,17 @@ def is_read_apart(kind: str, content: bytes) -> bool:
 
 
 def check_long_model_file(
-    kind: str, content: bytes, diagnoser: str | None, *, memory: int, seconds: int
+    kind: str,
+    content: bytes,
+    diagnoser: str | None,
+    *,
+    memory: int,
+    seconds: int,
+    fmus: bool = False,
 ) -> None:
     """`check_model_file` of a file that is long, or packed, in a limited process of its own;
-    BadModel also beyond a limit.
+    BadModel also beyond a limit. Without `fmus` a baseline that holds an FMU is Forbidden; with
+    it nothing of the FMU is loaded here.
     """
     _reader(kind, diagnoser)  # no process is started for a diagnoser that there is not
     with tempfile.TemporaryDirectory(prefix="residuum-model-") as folder:
@@ -47,17 +61,21 @@ def check_long_model_file(
         file.write_bytes(content)
         refusal = run_limited(
             __name__,
-            (str(file), kind, diagnoser or ""),
+            (str(file), kind, diagnoser or "", *(["fmus"] if fmus else [])),
             Path(folder),
             memory=memory,
             seconds=seconds,
         )
     if refusal is not None:
         reason, parts = refusal
+        if reason == Forbidden.__name__:
+            raise Forbidden(**parts)
         raise BadModel(**parts) if reason else BadModel(f"model file: {parts['what']}")
 
 
-def check_model_file(kind: str, content: bytes, diagnoser: str | None = None) -> None:
+def check_model_file(
+    kind: str, content: bytes, diagnoser: str | None = None, *, fmus: bool = False
+) -> None:
     """Refuse a file that its reader refuses; the reader's message is kept, with 'model file' for
     the file's name.
 
@@ -69,12 +87,24 @@ def check_model_file(kind: str, content: bytes, diagnoser: str | None = None) ->
         file = Path(folder) / f"model{MODEL_KINDS[kind][1]}"
         file.write_bytes(content)
         try:
-            reader(file)
+            if fmus and holds_fmu(file):
+                _check_fmu_baseline(file, diagnoser or "")
+            else:
+                reader(file)
+        except Forbidden:
+            # in our words: where it lay while it was read is nobody's business
+            raise Forbidden(_NO_FMUS) from None
         except BadInput as error:
             refusal = str(error).replace(f"model {str(file)!r}", "model file")
             raise BadModel(
                 refusal.replace(str(file), "model file").replace(file.name, "model file")
             ) from None
+
+
+def _check_fmu_baseline(file: Path, diagnoser: str) -> None:
+    """Read what is stored, and what the FMU in it says of itself."""
+    file.write_bytes(load_stored(file, diagnoser).arrays[ARRAY].tobytes())
+    describe(file)
 
 
 def _reader(kind: str, diagnoser: str | None) -> Callable[[Path], object]:
@@ -85,10 +115,13 @@ def _reader(kind: str, diagnoser: str | None) -> Callable[[Path], object]:
     return load_model if kind == "physical" else load_identified
 
 
-def main(memory: int, seconds: int, name: str, kind: str, diagnoser: str) -> int:
+def main(memory: int, seconds: int, name: str, kind: str, diagnoser: str, *more: str) -> int:
     """Check a file within the limits; gives the exit status."""
+    fmus = "fmus" in more
     return within_limits(
-        lambda: check_model_file(kind, Path(name).read_bytes(), diagnoser or None), memory, seconds
+        lambda: check_model_file(kind, Path(name).read_bytes(), diagnoser or None, fmus=fmus),
+        memory,
+        seconds,
     )
 
 

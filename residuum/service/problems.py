@@ -15,7 +15,7 @@ from fastapi.exceptions import RequestValidationError
 from starlette.exceptions import HTTPException
 from starlette.responses import Response
 
-from residuum.identification.errors import BadInput
+from residuum.identification.errors import BadInput, Forbidden
 from residuum.library.questions import refusal
 from residuum.service.alarms.alarm_states import IllegalTransition
 from residuum.service.body_errors import BadBody, TooLarge, UnsupportedBody
@@ -40,6 +40,7 @@ _STATUS: dict[type[Exception], int] = {
     TooLarge: 413,
     TooManyJobs: 429,
     TooBusy: 503,
+    Forbidden: 403,
     BadInput: 422,
 }
 # Characters of a refusal, which may repeat what a client sent. Of a body of megabytes a line that

@@ -228,6 +228,13 @@ class Settings(BaseSettings):
     upload_seconds: int = Field(
         10, ge=1, description="Processor time in which an uploaded file must be readable [s]."
     )
+    allow_fmus: bool = Field(
+        False,
+        description=(
+            "Whether baselines that hold an FMU are stored and judged by: its native code runs in a"
+            " process of its own, as the service's user."
+        ),
+    )
     header_limit: int = Field(16 * 2**10, ge=1024, description="Largest request head [bytes].")
     log_level: Literal["debug", "info", "warning", "error"] = Field(
         "info", description="Least severe log line that is kept."

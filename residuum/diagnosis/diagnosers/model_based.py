@@ -15,7 +15,7 @@ from residuum.diagnosis.diagnosers.base import Channel, Diagnoser, Example, NotT
 from residuum.diagnosis.finding import Finding
 from residuum.diagnosis.model_based.assessment import CLASSES, assess, missing_physics, rate_alone
 from residuum.diagnosis.model_based.baseline import Baseline
-from residuum.diagnosis.model_based.training import refuse_recalibration, train
+from residuum.diagnosis.model_based.training import following, refuse_recalibration, train
 from residuum.diagnosis.thresholds.false_alarm_rate import SECONDS_A_DAY
 from residuum.identification.errors import BadInput
 from residuum.identification.physics import BUILT_IN, PhysicalModel, load_model
@@ -39,6 +39,9 @@ class ModelBased(Diagnoser):
         Of windows that follow one another without overlap.
     fix_undetermined : bool
         Keep values that healthy windows do not determine at the file's, instead of refusing.
+    free : sequence of str or None
+        Values that are followed from window to window, all others held; None: those that the model
+        does not hold.
     """
 
     name: ClassVar[str] = "model-based"
@@ -55,12 +58,15 @@ class ModelBased(Diagnoser):
         model: str | Path | PhysicalModel | None = None,
         false_alarms_per_day: float = FALSE_ALARMS_PER_DAY,
         fix_undetermined: bool = False,
+        free: Sequence[str] | None = None,
     ) -> None:
         if not (np.isfinite(false_alarms_per_day) and false_alarms_per_day > 0):
             raise BadInput(
                 f"false alarms per day: {false_alarms_per_day!r}; must be a positive number"
             )
         self.model = load_model(model) if isinstance(model, str | Path) else model
+        if free is not None:
+            self.model = _following(self.model, free)
         self.false_alarms_per_day, self.fix_undetermined = false_alarms_per_day, fix_undetermined
         self._baseline: Baseline | None = None
 
@@ -217,6 +223,22 @@ class ModelBased(Diagnoser):
         healthy = [_axis(seed) for seed in range(12)]
         faulty = [_axis(51, mass=120.0), _axis(52, friction=20.0), _axis(53, gain=1.1)]
         return (Example(healthy, None, [_axis(seed) for seed in (61, 62, 63)], faulty),)
+
+
+def _following(model: PhysicalModel | None, free: Sequence[str]) -> PhysicalModel:
+    if model is None:
+        raise BadInput(
+            ", ".join(free),
+            "free",
+            "are values of a model, which is missing",
+            way_on=[("model", "FILE")],
+        )
+    if model.foreign is not None:
+        # loads what compiles, for FMUs alone
+        from residuum.identification.physics.fmu.watched_model import declaring  # noqa: PLC0415
+
+        model = declaring(model, free)
+    return following(model, free)
 
 
 def built_in_model(records: Sequence[Record]) -> PhysicalModel:

@@ -4,12 +4,12 @@ gain in healthy windows.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
@@ -36,6 +36,11 @@ from residuum.identification.physics import (
     read_model,
     write_model,
 )
+from residuum.identification.physics.fmu.permission import ARRAY as FMU
+from residuum.identification.physics.fmu.permission import check_allowed
+
+if TYPE_CHECKING:
+    from residuum.identification.physics.fmu.watched_model import WatchedFmu
 
 # Files of other versions are refused, not converted: their healthy records teach a baseline anew.
 _VERSION = 6
@@ -233,9 +238,11 @@ class Baseline:
 
     def save(self, path: str | Path, kind: str, settings: Mapping[str, Any]) -> None:
         """Store the baseline and a diagnoser's settings in a file."""
+        model, asked, fmu = _stored_models(self.model, self.asked)
         meta = {
-            "model": write_model(self.model),
-            "asked": write_model(self.asked),
+            "model": model,
+            "asked": asked,
+            "fmu": None if fmu is None else fmu.said,
             "absent": [name for name, signal in self.model.inputs.items() if signal.absent],
             "mended": list(self.mended),
             "beside": list(self.kind.beside),
@@ -262,6 +269,8 @@ class Baseline:
             for part in ("filters", "sigma", "inflation", "steps", "most_steps")
         }
         arrays |= {"centre": self.kind.centre, "spread": self.kind.spread}
+        if fmu is not None:
+            arrays[FMU] = np.frombuffer(fmu.content, dtype=np.uint8)
         own = ("information", "typical", "input_spans", "spans", "measured", "hold")
         save_stored(
             path, kind, _VERSION, meta, arrays | {name: getattr(self, name) for name in own}
@@ -277,15 +286,21 @@ class Baseline:
                 " healthy records"
             )
         meta, arrays = stored.meta, stored.arrays
+        if FMU in arrays:
+            check_allowed(str(path))
         try:
             return _read(meta, arrays, str(path)), dict(meta["settings"])
         except (KeyError, TypeError, ValueError) as error:
+            # what an FMU is refused for is said in its own words
+            if FMU in arrays and isinstance(error, BadInput):
+                raise
             raise BadInput(f"{path}: is not a model-based baseline: {error}") from None
 
 
 def _read(meta: Mapping[str, Any], arrays: Mapping[str, FloatArray], source: str) -> Baseline:
+    read = read_model if FMU not in arrays else _fmu_reader(meta, arrays[FMU], source)
     asked, model = (
-        with_absent(read_model(meta[name], source), meta["absent"]) for name in ("asked", "model")
+        with_absent(read(meta[name], source), meta["absent"]) for name in ("asked", "model")
     )
     values, errors, offsets = (
         Scatter(arrays[f"{name}_B"], arrays[f"{name}_S"], arrays[f"{name}_M"], float(freedom))
@@ -323,6 +338,31 @@ def _read(meta: Mapping[str, Any], arrays: Mapping[str, FloatArray], source: str
         tuple(int(k) for k in meta["apart"]),
         list(meta["sources"]),
     )
+
+
+def _stored_models(
+    model: PhysicalModel, asked: PhysicalModel
+) -> tuple[str, str, WatchedFmu | None]:
+    """Texts of both models, and the FMU that they are of."""
+    if model.foreign is None:
+        return write_model(model), write_model(asked), None
+    # loads what compiles, for FMUs alone
+    from residuum.identification.physics.fmu.watched_model import (  # noqa: PLC0415
+        WatchedFmu,
+        written,
+    )
+
+    return written(model), written(asked), WatchedFmu.of(model.foreign)
+
+
+def _fmu_reader(
+    meta: Mapping[str, Any], content: FloatArray, source: str
+) -> Callable[[str, str], PhysicalModel]:
+    """What makes models of their texts and the FMU that is stored beside them."""
+    # loads what compiles, for FMUs alone
+    from residuum.identification.physics.fmu.watched_model import WatchedFmu  # noqa: PLC0415
+
+    return WatchedFmu.read(content.tobytes(), meta["fmu"], source).model
 
 
 def wide_prior(values: FloatArray) -> FloatArray:

@@ -96,7 +96,9 @@ def _load(model: PhysicalModel, balance: str) -> Hypothesis:
 
 
 def _value(model: PhysicalModel, name: str) -> Hypothesis:
-    effect, _, place = name.rpartition(".")[0].partition("@")
+    # a library's parameters may have dots in their names: `motor.R` is no effect's
+    use = "" if name in model.parameters else name.rpartition(".")[0]
+    effect, _, place = use.partition("@")
     unit = model.all_parameters[name].unit
     return Hypothesis(
         "effect" if effect else "parameter",

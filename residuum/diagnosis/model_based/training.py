@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy import stats
@@ -44,6 +43,7 @@ from residuum.identification.blas_threads import one_thread
 from residuum.identification.errors import BadInput, BadRecord, NotIdentifiable, said
 from residuum.identification.physics import (
     EffectUse,
+    Estimate,
     Experiment,
     Key,
     PhysicalModel,
@@ -52,8 +52,8 @@ from residuum.identification.physics import (
 )
 from residuum.identification.physics.effects.base import Parameter
 from residuum.identification.record import Record
-from residuum.identification.residual_analysis.feedback import turned_timing
-from residuum.identification.unseen_blocks.data import Data, data_of
+from residuum.identification.residual_analysis.feedback import at_likelier_timing, turned_timing
+from residuum.identification.unseen_blocks.data import data_of
 from residuum.identification.unseen_blocks.multiple_shooting import (
     first_fit,
     first_fit_at_likelier_timing,
@@ -63,9 +63,7 @@ from residuum.identification.unseen_blocks.search import search
 from residuum.identification.unseen_blocks.tried import Search, Wanted
 from residuum.identification.unseen_blocks.verdict import is_timing
 from residuum.identification.work import at_most
-
-if TYPE_CHECKING:
-    from residuum.identification.physics.estimation import gauss_newton
+from residuum.nearest_names import known_names
 
 # Missing physics of a watched machine: what its model lacks in healthy windows, each at values of
 # its own.
@@ -123,7 +121,10 @@ def with_missing_physics(
     few = [windows[k] for k in evenly(len(windows), CALIBRATED)]
     base = _fitted(model, few, whitening)
     searched = np.argsort(-_information_by_window(base), kind="stable")[:SEARCHED]
-    fits = [_fitted(*trial, whitening) for trial in _candidates(model, few, searched.tolist())]
+    candidates = _candidates(_with_library_held(model), few, searched.tolist())
+    if model.foreign is not None:
+        candidates = [(replace(m, parameters=model.parameters), e) for m, e in candidates]
+    fits = [_fitted(*trial, whitening) for trial in candidates]
     errors = [trial.log_errors for trial in fits]
     better = [k for k, error in enumerate(errors) if _is_reduced(base.log_errors - error)]
     if not better:
@@ -133,6 +134,42 @@ def with_missing_physics(
     alike = [k for k in better if k == best or not _is_reduced(errors[k] - errors[best], 1.0)]
     chosen = fits[min(alike, key=lambda k: (len(fits[k].model.free), float(errors[k].mean())))]
     return _settled(chosen, model), [replace(e, hold=chosen.windows[0].hold) for e in windows]
+
+
+def _with_library_held(model: PhysicalModel) -> PhysicalModel:
+    """The model with the parameters of its library set and no longer free: passes that a search
+    compiles call the library as it is.
+    """
+    if model.foreign is None:
+        return model
+    model.foreign.settle({name: p.value for name, p in model.parameters.items()})
+    return held(model, list(model.parameters))
+
+
+def following(model: PhysicalModel, names: Sequence[str]) -> PhysicalModel:
+    """The model with these values free, by full name, and all others held."""
+    known = model.all_parameters
+    if unknown := [name for name in names if name not in known]:
+        raise BadInput(
+            repr(unknown[0]),
+            "free",
+            f"the model has no parameter of this name; {known_names(unknown[0], known)}",
+        )
+    held_ones = held(model, [name for name in known if name not in names])
+    effects = tuple(
+        replace(use, parameters=_freed(use.parameters, names, f"{use.label}."))
+        for use in held_ones.effects
+    )
+    return replace(held_ones, parameters=_freed(held_ones.parameters, names), effects=effects)
+
+
+def _freed(
+    parameters: Mapping[str, Parameter], names: Sequence[str], prefix: str = ""
+) -> dict[str, Parameter]:
+    return {
+        name: replace(p, fixed=p.fixed and prefix + name not in names)
+        for name, p in parameters.items()
+    }
 
 
 def held(model: PhysicalModel, names: Sequence[str]) -> PhysicalModel:
@@ -395,17 +432,18 @@ def train(
     for use in known:
         if use.key not in [own.key for own in asked.effects]:
             base = base.with_effect(*use.key, {name: p.value for name, p in use.parameters.items()})
+    if base.foreign is not None:
+        base.foreign.choose_steps(base, [experiments[k] for k in evenly(len(experiments), 1)])
     # All windows at once first: they determine what no window determines by itself.
-    start = first_fit_at_likelier_timing(data_of(base, experiments))
-    data, fit = start.data, start.found
+    fit = _over_all(base, experiments)
     while wide := [name for name in _open(fit) if name in asked.parameters]:
         if not fix_undetermined:
-            raise _refusal(asked, data, wide)
+            raise _refusal(asked, experiments, wide)
         # with the widest one held, others may be determined
-        data = data_of(held(data.model, wide[:1]), data.experiments)
-        fit = first_fit(data).found
+        base = held(base, wide[:1])
+        fit = _over_all(base, fit.experiments, timing_known=True)
     better, experiments = with_missing_physics(
-        fit.model, data.experiments, _sized(fit.model, data.experiments)
+        fit.model, fit.experiments, _sized(fit.model, fit.experiments)
     )
     return _calibrated(
         _learned(asked, better, experiments, [record.source for record in records]), experiments
@@ -452,7 +490,37 @@ def _alike(experiments: Sequence[Experiment]) -> list[Experiment]:
     return [replace(e, hold=hold) for e in experiments]
 
 
-def _open(fit: gauss_newton.Fit) -> list[str]:
+@dataclass(frozen=True, eq=False)
+class _FittedToAll:
+    """A model fitted to all windows together, these at the input timing that suits it."""
+
+    model: PhysicalModel
+    experiments: list[Experiment]
+    parameters: Sequence[str]
+    std: FloatArray
+
+
+def _over_all(
+    model: PhysicalModel, experiments: list[Experiment], *, timing_known: bool = False
+) -> _FittedToAll:
+    if model.foreign is not None:
+        # its slopes are differences of whole simulations, which no pass of shooting makes
+        def fitted(turned: list[Experiment]) -> Estimate:
+            return estimate(model, turned)
+
+        timed, found = (
+            (experiments, fitted(experiments))
+            if timing_known
+            else at_likelier_timing(experiments, fitted)
+        )
+        return _FittedToAll(found.model, timed, found.parameters, found.std)
+    data = data_of(model, experiments)
+    start = first_fit(data) if timing_known else first_fit_at_likelier_timing(data)
+    fit = start.found
+    return _FittedToAll(fit.model, start.data.experiments, fit.parameters, fit.std)
+
+
+def _open(fit: _FittedToAll) -> list[str]:
     """Values that all healthy windows together leave open, the widest first."""
     now = fit.model.values
     share = {
@@ -465,11 +533,14 @@ def _open(fit: gauss_newton.Fit) -> list[str]:
     )
 
 
-def _refusal(model: PhysicalModel, data: Data, wide: Sequence[str]) -> Undetermined:
+def _refusal(
+    model: PhysicalModel, experiments: Sequence[Experiment], wide: Sequence[str]
+) -> Undetermined:
     pronoun = "them" if len(wide) > 1 else "it"
     way_on = said("fix_undetermined", True)
     driving = ", ".join(model.inputs) or "the machine"
-    lacking = [name for name, known in zip(model.outputs, data.measured, strict=True) if not known]
+    measured = np.any([e.measured for e in experiments], axis=0)
+    lacking = [name for name, known in zip(model.outputs, measured, strict=True) if not known]
     more = f", or record {' or '.join(lacking)} too" if lacking else ""
     return Undetermined(
         f"model {model.name!r}: healthy windows do not determine {', '.join(wide)}: record windows"

@@ -8,6 +8,7 @@ from pydantic import BeforeValidator, Field, ValidationInfo
 
 from residuum.identification.errors import BadInput
 from residuum.library.questions import Question, field
+from residuum.library.questions.names import Names
 
 _FORM = "bpfi=5.4,…"
 
@@ -71,7 +72,12 @@ class Score(Question):
 class Train(Score):
     """A diagnoser that has learned from records."""
 
-    model: str | None = field(None, "Model-based: a model file or a built-in model.")
+    model: str | None = field(None, "Model-based: a model file, a built-in model, or an FMU.")
+    free: Names = field(
+        None,
+        "Model-based: follow these values of the model from window to window, and hold all others."
+        " Default: those that the model does not hold fixed; of an FMU they have to be named.",
+    )
     fix_undetermined: bool = field(
         False,
         "Model-based: keep the file's value of a parameter that the healthy records do not"

@@ -58,11 +58,16 @@ async def add_model(
     content = await body_of(request)
     # A long or packed file is read in a process with limits.
     if is_read_apart(kind, content):
-        limits = {
-            "memory": running.settings.upload_memory,
-            "seconds": running.settings.upload_seconds,
-        }
-        await running.reading(check_long_model_file, kind, content, diagnoser, **limits)
+        settings = running.settings
+        await running.reading(
+            check_long_model_file,
+            kind,
+            content,
+            diagnoser,
+            memory=settings.upload_memory,
+            seconds=settings.upload_seconds,
+            fmus=settings.allow_fmus,
+        )
     else:
         await run_in_threadpool(check_model_file, kind, content, diagnoser)
     caller = caller_of(request).name

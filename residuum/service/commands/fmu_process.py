@@ -8,16 +8,19 @@ import os
 import signal
 import subprocess
 import sys
+from typing import Any
 
 from residuum.identification.errors import BadModel
 from residuum.identification.physics.fmu.parameter_file import named
 from residuum.library.model import Model, model
+from residuum.library.monitor import MODEL_BASED
+from residuum.library.questions.score import Train
 from residuum.service.cli import names_fmu
 
 INSIDE = "RESIDUUM_FMU_PROCESS"
 """Set in the process that may load an FMU."""
 # The commands that take an FMU for their model, and so would load its library.
-_COMMANDS = ("compare", "explain", "improve", "estimate")
+_COMMANDS = ("compare", "explain", "improve", "estimate", "train", "score")
 
 
 def is_wanted(command: str) -> bool:
@@ -31,7 +34,7 @@ def is_inside() -> bool:
 
 
 def run_apart(arguments: list[str], fmu: str) -> int:
-    """Exit status of the command in a process of its own.
+    """Exit status of the command in a process of its own; `fmu` is what names or holds the FMU.
 
     Raises
     ------
@@ -40,7 +43,8 @@ def run_apart(arguments: list[str], fmu: str) -> int:
         process.
     """
     # Refused here where it cannot run on this platform: nothing of it is loaded for that.
-    named(fmu)
+    if names_fmu(fmu):
+        named(fmu)
     # Its standard error is ours: progress is seen as it comes, and what a crashing library says,
     # too.
     done = subprocess.run(
@@ -53,8 +57,9 @@ def run_apart(arguments: list[str], fmu: str) -> int:
     # A negative status is the signal that ended the process.
     if done.returncode < 0:
         how = signal.Signals(-done.returncode).name
+        what = "model" if names_fmu(fmu) else "baseline"
         raise BadModel(
-            f"model {fmu!r}: the FMU ended the process that ran it ({how}); nothing else was harmed"
+            f"{what} {fmu!r}: the FMU ended the process that ran it ({how}); nothing else was harmed"
         )
     return done.returncode
 
@@ -67,3 +72,17 @@ def model_for(name: str) -> Model:
 
         return fmu(name)
     return model(name)
+
+
+def settings_for(diagnoser: str, asked: Train) -> dict[str, Any]:
+    """The settings of a diagnoser that a command trains; in this process with an FMU for a model,
+    too.
+    """
+    settings = asked.settings
+    name = settings.get("model")
+    if diagnoser != MODEL_BASED or name is None or not (is_inside() and names_fmu(name)):
+        return settings
+    # loads what compiles, for FMUs alone
+    from residuum.identification.physics.fmu.watched_model import watched_model  # noqa: PLC0415
+
+    return settings | {"model": watched_model(named(name))}

@@ -9,11 +9,13 @@ from residuum.diagnosis.diagnosers import DIAGNOSERS, diagnoser_class, untrained
 from residuum.diagnosis.diagnosers.base import Diagnoser
 from residuum.diagnosis.finding import Verdict
 from residuum.identification.errors import BadInput
+from residuum.identification.physics.fmu.permission import fmus_allowed
 from residuum.library.answers.finding import finding_text
 from residuum.library.finding import Finding
 from residuum.library.questions.score import Score
 from residuum.service.cli import ANSWER_IS_NO
 from residuum.service.commands.asked import asks
+from residuum.service.commands.fmu_process import is_inside
 from residuum.service.commands.plot_option import Plot, check_plot, drawn
 from residuum.service.commands.records import Reading, RecordFiles, reads
 from residuum.service.commands.report import AsJson, report
@@ -71,5 +73,6 @@ def _judge(name: str, baseline: Path | None, asked: Score) -> Diagnoser:
     if not baseline.is_file():
         raise BadInput(f"{baseline}: no such baseline file")
     # Settings that were given go over those that the baseline was trained with.
-    judge = diagnoser_class(name).load(baseline)
+    with fmus_allowed(is_inside()):
+        judge = diagnoser_class(name).load(baseline)
     return judge.with_settings(**asked.settings) if asked.settings else judge

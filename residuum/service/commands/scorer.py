@@ -55,7 +55,15 @@ def scorer(
     # machines.
     pool = WorkerPool(1)
     try:
-        consumer = Scorer(settings.broker, int(number), int(many), pool, store, settings.data)
+        consumer = Scorer(
+            settings.broker,
+            int(number),
+            int(many),
+            pool,
+            store,
+            settings.data,
+            fmus=settings.allow_fmus,
+        )
         consumer.start()
         until_interrupted(f"Scorer {part} takes windows.")
         consumer.stop()

@@ -16,6 +16,7 @@ from residuum.identification.record import Record
 from residuum.library.answers.validation import validated, validation_says
 from residuum.library.questions.score import Train
 from residuum.service.commands.asked import asks
+from residuum.service.commands.fmu_process import settings_for
 from residuum.service.commands.output_file import check_output_file
 from residuum.service.commands.records import Reading, RecordFiles, reads
 from residuum.service.commands.report import AsJson, report
@@ -51,7 +52,8 @@ def train(
 ) -> None:
     """Train a diagnoser on records and store it for `score --baseline`."""
     kind = diagnoser_class(diagnoser)
-    judge = untrained(kind, **asked.settings)
+    settings = settings_for(diagnoser, asked)
+    judge = untrained(kind, **settings)
     # Before the records are read and learned from: a mistyped folder must not cost the training.
     check_output_file(out)
     names, exemplars = read_labels(labels, records) if labels else (None, None)
@@ -68,7 +70,7 @@ def train(
     if validate is not None:
         validation = validated(
             validate,
-            lambda indices: lessons.teach(untrained(kind, **asked.settings), indices),
+            lambda indices: lessons.teach(untrained(kind, **settings), indices),
             lessons.records,
             lessons.truth,
             lessons.objects,

@@ -88,7 +88,7 @@ def propose(
     progress(0.05, f"learning the limits of {diagnoser} from {len(learned)} healthy records")
     kind = DIAGNOSERS[diagnoser]
     records, windows = ([Record(*parts) for parts in group] for group in (learned, checked))
-    old = None if baseline is None else diagnoser_of_content(kind, baseline)
+    old = None if baseline is None else diagnoser_of_content(kind, baseline, fmus=True)
     new = _relearned(old or kind(), records, models[1])
     progress(0.6, f"judging {len(windows)} healthy windows with both")
     # on windows that neither learned from: on its own a diagnoser hardly ever raises an alarm
@@ -229,7 +229,8 @@ def train_baseline(
     records = [named(Record(*parts), channels) for parts in windows]
     if present is not None:
         progress(0.1, "asking the present baseline whether these windows are healthy")
-        diagnoser_of_content(DIAGNOSERS[diagnoser], present).refuse_learning(records)
+        kept = diagnoser_of_content(DIAGNOSERS[diagnoser], present, fmus=True)
+        kept.refuse_learning(records)
     # `method` is set on a diagnoser that is there, all others are given when it is made
     deciding = {name: value for name, value in settings.items() if name == "method"}
     own = {name: value for name, value in settings.items() if name != "method"}

@@ -55,8 +55,8 @@ class JudgeAndStore:
         Keeps windows and findings.
     """
 
-    def __init__(self, pool: WorkerPool, store: DiskStore) -> None:
-        self._pool, self._store = pool, store
+    def __init__(self, pool: WorkerPool, store: DiskStore, *, fmus: bool = False) -> None:
+        self._pool, self._store, self._fmus = pool, store, fmus
         self.second_baselines: dict[str, str] = {}
         """Machine → file of the baseline of its second opinion, once there is one."""
 
@@ -110,12 +110,15 @@ class JudgeAndStore:
         # both opinions are under way at once, in worker processes
         plain = PlainRecord.of(window)
         first = self._pool.begin(
-            score_window, machine.diagnoser, baseline, plain, self._method(machine)
+            *(score_window, machine.diagnoser, baseline, plain),
+            *(self._method(machine), self._fmus),
         )
         second = self.second_baselines.get(machine.asset)
         if machine.second is None or second is None:
             return first
-        opinion = self._pool.begin(score_window, machine.second.diagnoser, second, plain, None)
+        opinion = self._pool.begin(
+            score_window, machine.second.diagnoser, second, plain, None, self._fmus
+        )
         return lambda: with_second_opinion(first(), opinion())
 
 
@@ -161,7 +164,7 @@ class Pipeline:
                 f"settings, machines: {', '.join(sorted(twice))}: there are two of this name"
             )
         self._of_settings = frozenset(names)
-        self._handle = JudgeAndStore(executor, store)
+        self._handle = JudgeAndStore(executor, store, fmus=settings.allow_fmus)
         self._lines = {
             machine.asset: MachineLine(machine, self._handle, self._announce)
             for machine in machines

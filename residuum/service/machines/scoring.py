@@ -16,9 +16,11 @@ import numpy as np
 from residuum.diagnosis.diagnosers import DIAGNOSERS, untrained
 from residuum.diagnosis.diagnosers.base import Diagnoser
 from residuum.diagnosis.finding import Finding
-from residuum.identification.errors import BadInput
+from residuum.identification.errors import BadInput, Forbidden
+from residuum.identification.physics.fmu.permission import holds_fmu
 from residuum.identification.record import Record
 from residuum.nearest_names import known_names
+from residuum.service.machines.judged_apart import JudgedApart
 from residuum.service.store import NotFound
 from residuum.service.work.worker_pool import PlainRecord
 
@@ -54,22 +56,29 @@ diagnosers.
 """
 
 
-def diagnoser_of_file(diagnoser: str, file: str | None) -> Diagnoser:
+def diagnoser_of_file(diagnoser: str, file: str | None, *, fmus: bool = False) -> Diagnoser:
     """The diagnoser that a file holds, anew where the file changed; without a file the untrained
-    one.
+    one. With `fmus` one that holds an FMU judges in a process of its own; else it is refused.
     """
     kind = DIAGNOSERS[diagnoser]
     if not file:
         return IN_THIS_PROCESS.get(diagnoser, kind)
     changed = Path(file).stat().st_mtime_ns
-    return IN_THIS_PROCESS.get((diagnoser, file, changed), lambda: kind.load(Path(file)))
+
+    def read() -> Diagnoser:
+        apart = fmus and holds_fmu(file)
+        return JudgedApart(diagnoser, Path(file)) if apart else kind.load(Path(file))
+
+    return IN_THIS_PROCESS.get((diagnoser, file, changed), read)
 
 
-def diagnoser_of_content(kind: type[Diagnoser], content: bytes) -> Diagnoser:
-    """The trained diagnoser that a stored baseline holds."""
+def diagnoser_of_content(kind: type[Diagnoser], content: bytes, *, fmus: bool = False) -> Diagnoser:
+    """The trained diagnoser that a stored baseline holds; of `fmus` as `diagnoser_of_file`."""
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "baseline"
         file.write_bytes(content)
+        if fmus and holds_fmu(file):
+            return JudgedApart.by_copy(kind.name, file)
         return kind.load(file)
 
 
@@ -95,8 +104,8 @@ class Judges:
     taken up by the next call.
     """
 
-    def __init__(self, baseline: Baseline) -> None:
-        self._baseline = baseline
+    def __init__(self, baseline: Baseline, *, fmus: bool = False) -> None:
+        self._baseline, self._fmus = baseline, fmus
         self._kept = KeptDiagnosers()
 
     def untrained(self, diagnoser: str, settings: Mapping[str, Any] | None = None) -> Diagnoser:
@@ -115,7 +124,8 @@ class Judges:
         version, content = self._baseline(baseline)
         key = (diagnoser, baseline, version)
         return self._kept.get(
-            key, lambda: diagnoser_of_content(diagnoser_class(diagnoser), content)
+            key,
+            lambda: diagnoser_of_content(diagnoser_class(diagnoser), content, fmus=self._fmus),
         )
 
 
@@ -129,17 +139,25 @@ def diagnoser_class(name: str) -> type[Diagnoser]:
 
 
 def score_window(
-    diagnoser: str, baseline: str, window: PlainRecord, method: str | None = None
+    diagnoser: str,
+    baseline: str,
+    window: PlainRecord,
+    method: str | None = None,
+    fmus: bool = False,
 ) -> Finding:
     """Judge one window with the diagnoser stored in the file `baseline`; with none (an empty name)
     by absolute indicators.
 
     `method` is what decides, where a diagnoser has two; None: what the baseline was trained with.
+    Without `fmus` a window is not assessable by a baseline that holds an FMU.
 
     Runs in a worker process. A window that the diagnoser refuses (a channel missing, a wrong unit)
     is not assessable.
     """
-    judge = diagnoser_of_file(diagnoser, baseline)
+    try:
+        judge = diagnoser_of_file(diagnoser, baseline, fmus=fmus)
+    except Forbidden as refused:
+        return Finding.not_assessable(diagnoser, str(refused))
     # a baseline that cannot be read is a fault of ours and raises; a window that is refused is a
     # finding
     try:

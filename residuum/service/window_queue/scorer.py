@@ -67,6 +67,8 @@ class Scorer:
     store : DiskStore
     data : Path
         Folder for baselines.
+    fmus : bool
+        Whether FMUs in them are run, in a process of their own.
     """
 
     def __init__(
@@ -77,13 +79,15 @@ class Scorer:
         pool: WorkerPool,
         store: DiskStore,
         data: Path,
+        *,
+        fmus: bool = False,
     ) -> None:
         if not 1 <= part <= parts <= PARTITIONS:
             raise BadInput(
                 f"scorer {part}/{parts}: must be one of at most {PARTITIONS}, numbered from 1"
             )
         self._address, self._part, self._parts = address, part, parts
-        self._pool, self._store, self._data = pool, store, data
+        self._pool, self._store, self._data, self._fmus = pool, store, data, fmus
         self._set_aside, self._attempts = SetAside(data), Attempts(data, f"{part}-of-{parts}")
         self._baselines: dict[str, tuple[float, str]] = {}
         self._came: queue.Queue[tuple[int, Any]] = queue.Queue()
@@ -197,7 +201,7 @@ class Scorer:
             baseline = self._baseline(message.baseline)
             method = deciding_method(self._store, message.asset, message.diagnoser, message.method)
             return self._pool.call(
-                score_window, message.diagnoser, baseline, message.window, method
+                *(score_window, message.diagnoser, baseline, message.window, method, self._fmus)
             )
         except BrokenProcessPool:
             if self._stopped.is_set():

@@ -6,6 +6,7 @@ import re
 import numpy as np
 import pytest
 
+import residuum as rs
 from residuum.identification.errors import BadModel
 from residuum.identification.physics import Experiment, Simulator, load_model
 from residuum.identification.physics.fmu.description import Description, describe
@@ -111,6 +112,25 @@ def test_one_that_breaks_down_ends_its_own_process_alone(axis, rubbing, tmp_path
     assert "the FMU ended the process that ran it (SIGABRT)" in capfd.readouterr().err
 
 
+def test_fmus_in_one_process_are_not_taken_for_one_another(axis, rubbing, tmp_path):
+    heavy = exported(load_model("linear-axis").with_values({"M": 190.0}), tmp_path / "heavy.fmu")
+    copied = tmp_path / "copied.fmu"
+    copied.write_bytes(axis.read_bytes())
+    models = [rs.fmu(axis), rs.fmu(heavy), rs.fmu(copied).with_values(M=150.0)]
+    expected = [
+        rs.model("linear-axis")
+        .with_values(M=mass)
+        .compare(rubbing)
+        .to_dict()["outputs"]["velocity"]["rmse"]
+        for mass in (95.0, 190.0, 150.0)
+    ]
+    assert len(set(expected)) == 3
+    for _ in range(2):
+        for model, rmse in zip(models, expected, strict=True):
+            told = model.compare(rubbing).to_dict()["outputs"]["velocity"]["rmse"]
+            assert told == pytest.approx(rmse, rel=1e-4)
+
+
 @pytest.mark.parametrize(
     ("content", "says"), [(b"no zip", "is not an FMU"), (None, "no such file")]
 )
@@ -131,4 +151,4 @@ def test_a_way_that_an_fmu_does_not_offer_is_refused(exchanged, way):
 
 def test_other_commands_say_who_takes_an_fmu(axis, rubbing, capfd):
     assert run(["export", str(axis), "--to", "c", "--out", "/tmp/x.c"]) == BAD_INPUT
-    assert "compare, explain, improve and estimate take it" in capfd.readouterr().err
+    assert "compare, explain, improve, estimate and train take it" in capfd.readouterr().err

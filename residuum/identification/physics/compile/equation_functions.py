@@ -3,7 +3,8 @@ computes.
 
 `ExternalValue(k, t, x…, u…)` is the k-th of the library's values at a time, states and inputs; its
 slopes by them are `ExternalSlope(k, j, t, x…, u…)`. Generated code calls them by the names in
-`SYMBOLS`; a process has one library, whose functions stand in `machine_code.ADDRESSES`.
+`SYMBOLS`; which library a structure calls, the texts of its expressions say (`EXTERNAL_TEXT`), and
+it is linked to the functions of that one (`machine_code.LIBRARIES`).
 """
 
 from __future__ import annotations

@@ -13,6 +13,7 @@ from __future__ import annotations
 import hashlib
 import json
 import os
+import re
 import tempfile
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -35,6 +36,9 @@ if TYPE_CHECKING:
 _LOADED = (*FUNCTIONS, *STEPPING)
 _MADE_BY = "residuum.identification.physics"
 _MAKING = Lock()
+EXTERNAL_TEXT = "external_{library}_{k}({arguments})"
+"""How the text of an expression writes value k of a library."""
+_CALLED = re.compile(r"\bexternal_([0-9a-f]+)_\d+\(")
 _COUNTED = ("sizes", "surfaces", "delays", "own", "remembered")
 
 
@@ -85,7 +89,7 @@ def kernel_of_structure(structure: str, deferred: _Deferred) -> Kernel:
     code = [(path.parent / part).read_bytes() for part in manifest["parts"]]
     # Linked for this process: machine code knows no addresses until then.
     functions: Mapping[str, Any] = dict(
-        zip(_LOADED, machine_code.loaded(code, _LOADED), strict=True)
+        zip(_LOADED, machine_code.loaded(code, _LOADED, _imported(structure)), strict=True)
     )
     numbers: Mapping[str, Any] = {key: np.array(manifest[key], dtype=np.int64) for key in _COUNTED}
     names = {
@@ -93,6 +97,12 @@ def kernel_of_structure(structure: str, deferred: _Deferred) -> Kernel:
         for key in ("states", "parameters", "outputs", "signals", "deviating")
     }
     return Kernel(**names, system=System(**functions, **numbers))
+
+
+def _imported(structure: str) -> Mapping[str, int]:
+    """Functions of the library that a structure calls: code on disk names only their symbols."""
+    called = _CALLED.search(structure)
+    return {} if called is None else machine_code.LIBRARIES[called[1]]
 
 
 def _place(kind: str, content: str) -> Path:

@@ -7,6 +7,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from functools import lru_cache
 from itertools import count
+from types import MappingProxyType
 from typing import Any
 
 import llvmlite.binding as llvm
@@ -27,8 +28,10 @@ SIGNATURES: Mapping[str, Any] = {
 }
 """Of the functions that take more than nine pointers to doubles."""
 
-ADDRESSES: dict[str, int] = {}
-"""Functions of a library that this process has loaded, which code may call by these names."""
+LIBRARIES: dict[str, Mapping[str, int]] = {}
+"""Libraries that this process has loaded, by what names each (`library_name`): the functions that
+code may call, by their symbols.
+"""
 _COUNT = count()
 """Numbers the libraries."""
 _PLACED = 1000
@@ -76,15 +79,18 @@ def compiled(assembly: str) -> bytes:
     return bytes(machine.emit_object(module))
 
 
-def loaded(parts: Iterable[bytes], names: Sequence[str]) -> tuple[Function, ...]:
-    """The functions `names` of object code in parts that call one another by name."""
+def loaded(
+    parts: Iterable[bytes], names: Sequence[str], imported: Mapping[str, int] = MappingProxyType({})
+) -> tuple[Function, ...]:
+    """The functions `names` of object code in parts that call one another by name, and functions at
+    the addresses `imported`.
+    """
     number = next(_COUNT)
     # exp, sin, atan2 … are those of the C library that this process has loaded.
     builder = llvm.JITLibraryBuilder().add_current_process()
     for code in parts:
         builder.add_object_img(code)
-    # Symbols of an FMU, where one is loaded: code that calls none links all the same.
-    for name, address in ADDRESSES.items():
+    for name, address in imported.items():
         builder.import_symbol(name, address)
     for name in names:
         builder.export_symbol(name)

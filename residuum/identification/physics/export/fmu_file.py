@@ -61,11 +61,15 @@ def fmu(model: ExplicitModel) -> Fmu:
     library, folder, why = _compiled(model.name, sources)
     held = io.BytesIO()
     with zipfile.ZipFile(held, "w", zipfile.ZIP_DEFLATED) as archive:
-        archive.writestr("modelDescription.xml", _description(model, guid))
-        for name, text in sources.items():
-            archive.writestr(f"sources/{name}", text)
+        parts: dict[str, str | bytes] = {"modelDescription.xml": _description(model, guid)}
+        parts |= {f"sources/{name}": text for name, text in sources.items()}
         if library is not None:
-            archive.writestr(f"binaries/{folder}/{model.name}{PLATFORMS[_here()][1]}", library)
+            parts[f"binaries/{folder}/{model.name}{PLATFORMS[_here()][1]}"] = library
+        for name, part in parts.items():
+            # without the time of day: one model is one file, which caches and baselines know again
+            entry = zipfile.ZipInfo(name)
+            entry.external_attr = 0o644 << 16
+            archive.writestr(entry, part, zipfile.ZIP_DEFLATED)
     return Fmu(held.getvalue(), folder, why)
 
 

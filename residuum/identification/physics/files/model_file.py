@@ -83,8 +83,8 @@ EFFECT_KEYS = ("id", "balance", "input", "output", "parameters", "provenance")
 TIME = "time"
 """Name of the time since the record's begin, which need not be declared."""
 _TAKES_FMUS = (
-    "the commands compare, explain, improve and estimate take it, in a process of its own, and"
-    " `rs.fmu` in Python"
+    "the commands compare, explain, improve, estimate and train take it, in a process of its own,"
+    " and `rs.fmu` in Python"
 )
 _NAME = re.compile(r"[A-Za-z_][A-Za-z_0-9]*")
 _UNCERTAIN = re.compile(r"(\S+?)\s*(?:±|\+-|\+/-)\s*(\S+)")

@@ -29,14 +29,13 @@ class OwnSimulation:
     def __init__(self, instance: Instance) -> None:
         self.instance = instance
         self.says = ""
-        described = instance.description
         # what compiled code points to is freed with what calls it
         self._steps: Any = None
         self._pointed_to: tuple[Any, ...] = ()
         if not instance.exchanged:
             self._steps, self._pointed_to = _compiled(instance)
         self._read: Any = (
-            fmpy().read_model_description(described.path, validate=False)
+            fmpy().read_model_description(str(instance.file), validate=False)
             if instance.exchanged
             else None
         )

@@ -81,9 +81,11 @@ class Description:
     unsettable: Mapping[str, str] = field(default_factory=dict)
 
     @property
-    def runs_itself(self) -> bool:
-        """Whether it is simulated by co-simulation rather than by model exchange."""
-        return self.simulation is not None
+    def is_exchangeable(self) -> bool:
+        """Whether rates can be asked of it at any point: it has model exchange, states, and no
+        events to follow.
+        """
+        return self.exchange is not None and bool(self.states) and not self.events
 
 
 def is_fmu(name: str | Path) -> bool:

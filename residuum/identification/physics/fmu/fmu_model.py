@@ -8,10 +8,8 @@ happens on its outputs can be judged.
 
 from __future__ import annotations
 
-import hashlib
 import re
 from collections.abc import Callable, Mapping, Sequence
-from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
@@ -19,6 +17,7 @@ import numpy as np
 
 from residuum.identification.errors import BadUnit
 from residuum.identification.physics.compile.expression_meaning import EXTERNAL
+from residuum.identification.physics.compile.kernel import EXTERNAL_TEXT
 from residuum.identification.physics.effects.base import Parameter
 from residuum.identification.physics.files.expression import (
     Call,
@@ -38,13 +37,6 @@ _POINTS = 8
 _ALIKE = 1e-7
 
 
-def is_exchangeable(described: Description) -> bool:
-    """Whether rates can be asked of it at any point: it has model exchange, states, and no events
-    to follow.
-    """
-    return described.exchange is not None and bool(described.states) and not described.events
-
-
 def exchange_model(
     library: LoadedLibrary, parameters: Mapping[str, Parameter] = MappingProxyType({})
 ) -> PhysicalModel:
@@ -59,15 +51,14 @@ def exchange_model(
     units = [unit_of(v) for v in described.states]
     rates = _rates(library)
     arguments = (*states, *inputs, *library.parameters)
-    # Of the file: code that calls one library must not be taken for another.
-    digest = hashlib.sha256(Path(described.path).read_bytes()).hexdigest()[:12]
 
     def external(k: int) -> Expression:
         place = Place(described.name)
         names = tuple(Name(name, place) for name in arguments)
         tree = Call(EXTERNAL, (Number(float(k), place), *names), place)
         # the text is a part of the key under which compiled code is kept
-        return Expression(f"{EXTERNAL}_{digest}_{k}({', '.join(arguments)})", tree)
+        text = EXTERNAL_TEXT.format(library=library.name, k=k, arguments=", ".join(arguments))
+        return Expression(text, tree)
 
     sections: dict[str, dict[str, Any]] = {
         "inputs": {

@@ -5,11 +5,14 @@ again.
 from __future__ import annotations
 
 import ctypes
+import hashlib
 import shutil
 import tempfile
 import weakref
 from collections.abc import Mapping, Sequence
 from importlib import import_module
+from pathlib import Path
+from threading import Lock, RLock
 from typing import Any
 
 import numpy as np
@@ -22,6 +25,27 @@ TOLERANCE = 1e-8
 """Relative tolerance that a solver of its own is asked for."""
 # Event iterations at the start, at most: an FMU that always asks for one more would never begin.
 _SETTLINGS = 10
+
+
+_MADE: dict[tuple[str, bool], Instance] = {}
+_MAKING = Lock()
+
+
+def content_digest(path: str | Path) -> str:
+    """SHA-256 of a file."""
+    return hashlib.sha256(Path(path).read_bytes()).hexdigest()
+
+
+def instance_of(description: Description) -> Instance:
+    """The one instance in this process of the FMU with this content, wherever its file lies."""
+    # An FMU that cannot be simulated by itself is exchanged, whatever else it lacks.
+    exchanged = description.is_exchangeable or description.simulation is None
+    key = content_digest(description.path), exchanged
+    # Compiled code calls the instance that it was linked to: a second one would never be asked.
+    with _MAKING:
+        if key not in _MADE:
+            _MADE[key] = Instance(description, exchanged=exchanged)
+        return _MADE[key]
 
 
 class Instance:
@@ -40,14 +64,20 @@ class Instance:
     def __init__(self, description: Description, *, exchanged: bool) -> None:
         self.description = description
         self.exchanged = exchanged
+        # One object with a state of its own: whoever settles it and simulates holds this meanwhile.
+        self.lock = RLock()
         self.begun: object = None
         """Who began it last, and with what."""
         way = description.exchange if exchanged else description.simulation
         if way is None:
             asked = "model exchange" if exchanged else "co-simulation"
             raise BadModel(f"model {description.path!r}: the FMU does not offer {asked}")
-        self.folder = fmpy().extract(description.path, tempfile.mkdtemp(prefix="residuum-fmu-"))
-        weakref.finalize(self, shutil.rmtree, self.folder, ignore_errors=True)
+        place = Path(tempfile.mkdtemp(prefix="residuum-fmu-"))
+        weakref.finalize(self, shutil.rmtree, place, ignore_errors=True)
+        # A copy: what a baseline holds is what was loaded, whatever becomes of the user's file.
+        self.file = Path(shutil.copyfile(description.path, place / "loaded.fmu"))
+        self.content = content_digest(self.file)
+        self.folder = fmpy().extract(str(self.file), str(place / "extracted"))
         kind = f"FMU{description.version}{'Model' if exchanged else 'Slave'}"
         try:
             made = getattr(import_module(f"fmpy.fmi{description.version}"), kind)
@@ -77,6 +107,7 @@ class Instance:
         """Begin a simulation at time 0 with these parameters and first inputs; False where the FMU
         refuses them.
         """
+        self.begun = None
         try:
             self.afresh()
             self._begin(values, inputs)

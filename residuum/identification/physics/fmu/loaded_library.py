@@ -11,8 +11,11 @@ holds a lock, and the last point is remembered: a step asks for each rate at the
 from __future__ import annotations
 
 import ctypes
+import hashlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cache
+from threading import Lock
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -21,7 +24,7 @@ from numba import carray, cfunc, njit, types
 from numba.extending import intrinsic
 
 from residuum.identification.physics.compile.equation_functions import SYMBOLS
-from residuum.identification.physics.compile.machine_code import ADDRESSES
+from residuum.identification.physics.compile.machine_code import LIBRARIES
 from residuum.identification.physics.fmu.description import Description
 from residuum.identification.physics.fmu.instance import Instance
 
@@ -36,6 +39,7 @@ _POINTS = 4
 _AGREES = 1e-3
 """Points at which a derivative is held against a difference, and the part by which it may differ.
 """
+_LOADING = Lock()
 _KEPT: list[Any] = []
 """What compiled code points to, and must not be freed."""
 
@@ -46,7 +50,7 @@ class LoadedLibrary:
     `start` has the first states and inputs.
 
     `parameters` are those that the FMU gives directional derivatives by: arguments like any other,
-    whose values `settle` sets.
+    whose values `settle` sets. `name` is what the texts of expressions call it by.
     """
 
     description: Description
@@ -54,12 +58,8 @@ class LoadedLibrary:
     value: Any
     start: Array
     parameters: tuple[str, ...]
-    addresses: tuple[int, int]
+    name: str
     memory: Array
-
-    def call(self) -> None:
-        """Let the code that is linked from now on call this library."""
-        ADDRESSES.update(zip(SYMBOLS, self.addresses, strict=True))
 
     def settle(self, values: Mapping[str, float]) -> bool:
         """Begin anew where the parameters change; False where the FMU refuses them."""
@@ -93,21 +93,38 @@ class _Arrays(NamedTuple):
     mutex: npt.NDArray[np.int64]
 
 
-def load(instance: Instance, asked: Sequence[str] = ()) -> LoadedLibrary:
-    """An FMU's instance for model exchange as what generated code can call.
+def library_of(instance: Instance, asked: Sequence[str] = ()) -> LoadedLibrary:
+    """An FMU's instance for model exchange as what generated code can call: one in this process for
+    all who ask alike, since code that was linked calls the one that it was linked to.
 
     Parameters
     ----------
     asked : sequence of str
         Parameters by which slopes are wanted.
     """
-    description = instance.description
-    start = np.asarray(
-        instance.reals([v.reference for v in (*description.states, *description.inputs)])
-    )
-    given = differentiated(instance, start, asked)
+    with _LOADING:
+        return _library_of(instance, tuple(asked))
+
+
+@cache
+def _library_of(instance: Instance, asked: tuple[str, ...]) -> LoadedLibrary:
+    instance.begin({})
+    given = differentiated(instance, _start(instance), asked)
     # Slopes by any other parameter are differences of whole simulations.
-    own = tuple(name for name in asked if name in given)
+    return _loaded(instance, tuple(name for name in asked if name in given))
+
+
+def _start(instance: Instance) -> Array:
+    described = instance.description
+    return np.asarray(instance.reals([v.reference for v in (*described.states, *described.inputs)]))
+
+
+@cache
+def _loaded(instance: Instance, own: tuple[str, ...]) -> LoadedLibrary:
+    """With these parameters among the arguments."""
+    description = instance.description
+    start = _start(instance)
+    given = differentiated(instance, start, own)
     nx = len(description.states)
     nu = len(description.inputs)
     ny = len(description.outputs)
@@ -144,12 +161,10 @@ def load(instance: Instance, asked: Sequence[str] = ()) -> LoadedLibrary:
         whole[: len(point)] = point
         return np.array([call(k, whole.ctypes.data) for k in range(m)])
 
-    loaded = LoadedLibrary(
-        description, instance, at, start, own, (value.address, slope.address), memory
-    )
-    # A process has one library at a time: code linked from now on calls this one.
-    loaded.call()
-    return loaded
+    # Of the file and of the arguments: code that calls one library must not be taken for another.
+    name = hashlib.sha256(f"{instance.content} {own}".encode()).hexdigest()[:16]
+    LIBRARIES[name] = dict(zip(SYMBOLS, (value.address, slope.address), strict=True))
+    return LoadedLibrary(description, instance, at, start, own, name, memory)
 
 
 def _functions(instance: Instance) -> dict[str, Any]:

@@ -68,9 +68,22 @@ def named(path: str | Path) -> Named:
     path = Path(path)
     if is_fmu(path):
         return Named(describe(path))
-    tree = read_tree(read_text(path), path.name)
+    tree = _tree(read_text(path), path.name)
+    return _named(tree, describe(path.parent / tree.scalar("fmu", "model file of an FMU").text))
+
+
+def named_in(text: str, source: str, described: Description) -> Named:
+    """What a text says of an FMU that is at hand, wherever the one lies that it names."""
+    return _named(_tree(text, source), described)
+
+
+def _tree(text: str, source: str) -> Table:
+    tree = read_tree(text, source)
     tree.only(KEYS, "model file of an FMU")
-    described = describe(path.parent / tree.scalar("fmu", "model file of an FMU").text)
+    return tree
+
+
+def _named(tree: Table, described: Description) -> Named:
     table = tree.table("parameters", "model file of an FMU")
     parameters = {}
     for name in table:
@@ -80,7 +93,8 @@ def named(path: str | Path) -> Named:
             )
         except BadInput as error:
             says = error.told(as_keyword)  # a section of the file, and no option
-            raise (error if says.startswith(path.name) else table.keys[name].refuse(says)) from None
+            has_place = says.startswith(table.place.source)
+            raise (error if has_place else table.keys[name].refuse(says)) from None
     return Named(described, parameters, tree)
 
 

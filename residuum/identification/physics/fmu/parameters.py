@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from threading import RLock
+from pathlib import Path
 
 import numpy as np
 
@@ -12,6 +12,7 @@ from residuum.array_types import FloatArray
 from residuum.identification.errors import NotIdentifiable
 from residuum.identification.physics.estimation.estimation import estimate
 from residuum.identification.physics.fmu.co_simulation import OwnSimulation
+from residuum.identification.physics.fmu.description import Description
 from residuum.identification.physics.fmu.loaded_library import LoadedLibrary
 from residuum.identification.physics.model import PhysicalModel
 from residuum.identification.physics.simulate.differences import Step, chosen_step
@@ -29,8 +30,26 @@ class ExchangedParameters:
 
     def __init__(self, library: LoadedLibrary) -> None:
         self.library = library
-        self.lock = RLock()
+        self.lock = library.instance.lock
         self.steps: Mapping[str, Step] = {}
+
+    @property
+    def description(self) -> Description:
+        """The FMU's own."""
+        return self.library.description
+
+    @property
+    def file(self) -> Path:
+        """The FMU as it was loaded."""
+        return self.library.instance.file
+
+    def choose_steps(self, model: PhysicalModel, experiments: Sequence[Experiment]) -> None:
+        """Try, along experiments, with which steps slopes are differences: of the free parameters
+        by which the FMU gives no derivatives.
+        """
+        own = [name for name, parameter in model.parameters.items() if not parameter.fixed]
+        names = [name for name in own if name not in self.library.parameters]
+        self.steps = with_steps(model, experiments, names)
 
     def settle(self, values: Mapping[str, float]) -> bool:
         """Begin the FMU anew where its parameters change."""
@@ -51,7 +70,7 @@ class SimulatedParameters:
     def __init__(self, own: OwnSimulation, records: Sequence[tuple[FloatArray, float]]) -> None:
         self.own = own
         self.records = list(records)
-        self.lock = RLock()
+        self.lock = own.instance.lock
         self.steps: Mapping[str, Step] = {}
         # Where each record begins among the rows of all.
         self._first = np.concatenate([[0], np.cumsum([len(U) for U, _ in records])])
@@ -63,6 +82,21 @@ class SimulatedParameters:
         self._made = slice(nu, nu + ny)
         self._sample = nu + ny
         self._runs: dict[tuple[object, ...], FloatArray] = {}
+
+    @property
+    def description(self) -> Description:
+        """The FMU's own."""
+        return self.own.instance.description
+
+    @property
+    def file(self) -> Path:
+        """The FMU as it was loaded."""
+        return self.own.instance.file
+
+    def choose_steps(self, model: PhysicalModel, experiments: Sequence[Experiment]) -> None:
+        """Try, along experiments, with which steps slopes are differences: of all that are free."""
+        names = [name for name, parameter in model.parameters.items() if not parameter.fixed]
+        self.steps = with_steps(model, experiments, names)
 
     def settle(self, values: Mapping[str, float]) -> bool:
         """Nothing: it was simulated before."""
