@@ -263,8 +263,10 @@ class Settings(BaseSettings):
 
     def alarm_rule(self, asset: str) -> AlarmRule:
         """The rule of a machine's alarms: its own, or that of the service."""
-        own = (machine.alarms for machine in self.machines if machine.asset == asset)
-        return next(own, None) or self.alarms
+        own = (
+            machine.alarm_rule(self.alarms) for machine in self.machines if machine.asset == asset
+        )
+        return next(own, self.alarms)
 
     @property
     def requests_per_second(self) -> float | None:

@@ -66,7 +66,11 @@ class MachineState(BaseModel):
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
-    signal: str = Field(min_length=1, max_length=200, description="Its name on the bus.")
+    signal: str = Field(
+        min_length=1,
+        max_length=200,
+        description="Its name on the bus, or in the machine's windows where `channels` gives one.",
+    )
     unit: str = Field(max_length=60, description="Unit of the limit.")
     below: float | None = Field(default=None, allow_inf_nan=False)
     above: float | None = Field(default=None, allow_inf_nan=False)

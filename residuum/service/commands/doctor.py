@@ -179,11 +179,11 @@ def _machines(settings: Settings) -> list[Check]:
     ]
 
 
-def _machine(settings: Settings, machine: MachineSettings) -> str:
-    says, lacks = machine_check(machine, _baseline(settings, machine))
+def _machine(settings: Settings, machine: MachineSettings) -> tuple[str, str]:
+    says, lacks, remark = machine_check(machine, _baseline(settings, machine), settings.alarms)
     if lacks:
         raise Wrong("; ".join(lacks))
-    return says
+    return says, remark
 
 
 def _baseline(settings: Settings, machine: MachineSettings) -> tuple[bool, int] | None:
