@@ -186,7 +186,15 @@ async def _running(
         pipeline = make_pipeline(settings, store, events, executor)
         started.push_async_callback(pipeline.stop)
         services = Services(
-            settings, store, events, jobs, Judges(_baselines(store)), metrics, pipeline, keys
+            settings,
+            store,
+            events,
+            jobs,
+            Judges(_baselines(store)),
+            metrics,
+            pipeline,
+            keys,
+            notifications.troubles,
         )
         await _tell_start(settings, store)
         # left by a crash

@@ -235,6 +235,23 @@ def beyond(
     )
 
 
+def furthest_beyond(
+    indicators: Mapping[str, float | None], thresholds: Mapping[str, float | None]
+) -> str | None:
+    """The indicator above its threshold τ with the largest x/τ; of those whose τ has no multiple
+    (0 or below) one only where no other is above its own. None where none is.
+
+    >>> furthest_beyond({"rms": 3.0, "kurtosis": 9.0}, {"rms": 1.0, "kurtosis": 8.0})
+    'rms'
+    """
+    names = sorted(beyond(indicators, thresholds))
+
+    def times(name: str) -> float:
+        return severity(indicators, {name: thresholds[name]})
+
+    return max(names, key=times, default=None)
+
+
 def in_deadband(
     rule: AlarmRule,
     indicators: Mapping[str, float | None],

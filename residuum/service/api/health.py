@@ -27,8 +27,9 @@ def ready(running: Running, request: Request) -> Response:
     it is 200, `degraded`.
 
     `machines` says of each of these why, and what can be done, `storage` what is wrong although
-    windows are stored, `alarms` of which machines a state that suppresses alarms cannot be told.
-    Who has no key where keys are needed is told only how many machines are in which state.
+    windows are stored, `alarms` of which machines a state that suppresses alarms cannot be told,
+    `receivers` which of them refused a notification or take none. Who has no key where keys are
+    needed is told only how many machines are in which state.
     """
     # A write, not a question: a disk that is full or read-only is told by a write alone. At most
     # one a second, whoever asks.
@@ -38,10 +39,10 @@ def ready(running: Running, request: Request) -> Response:
     visible = {name: state for name, state in states.items() if sees(name)}
     untold = {name: why for name, why in running.store.untold_states.now().items() if sees(name)}
     named = troubled(visible)
-    storing = running.store.troubles()
+    storing, receivers = running.store.troubles(), running.receiver_troubles()
     # Still 200 where a machine is not judged: nothing is gained by a restart.
     answer = {
-        "status": "degraded" if named or storing or untold else "ready",
+        "status": "degraded" if named or storing or untold or receivers else "ready",
         "version": version("residuum"),
         "states": counted(visible),
     }
@@ -50,7 +51,8 @@ def ready(running: Running, request: Request) -> Response:
     stranger = running.keys.needed and not hasattr(request.state, "caller")
     if stranger:
         return Json(answer)
-    return Json({**answer, "machines": named, "storage": dict(storing), "alarms": untold})
+    told = {"machines": named, "storage": storing, "alarms": untold, "receivers": receivers}
+    return Json({**answer, **{subject: dict(whys) for subject, whys in told.items()}})
 
 
 @router.get("/metrics", response_class=Response)

@@ -23,11 +23,12 @@ from residuum.service.alarms.alarm_states import (
     AlarmState,
     AlarmStatus,
     beyond,
+    furthest_beyond,
     in_deadband,
     severity,
 )
 from residuum.service.storage import audit, outbox
-from residuum.service.storage.rows import alarm_floods, paging, row_checks
+from residuum.service.storage.rows import alarm_floods, assets, paging, row_checks
 from residuum.service.storage.tables import alarm_journal, alarms
 from residuum.service.store import Alarm, AlarmEntry, NotFound, Page
 
@@ -425,8 +426,27 @@ def _change(
     # In a flood its one notice stands for all alarms; what people do with alarms is told all the
     # same.
     if not alarm_floods.takes(connection, note.event, flood, note.at):
-        outbox.add(connection, changed)
+        told = changed.to_json() | {"change": note.event.value, "says": row.message}
+        outbox.add_notice(connection, told | {"exceeded": _exceeded(connection, row)})
     return changed
+
+
+def _exceeded(connection: Connection, row: Row[Any]) -> dict[str, Any] | None:
+    """The indicator that lay furthest beyond its threshold in the alarm's worst finding, with both
+    and their unit; None where there is none, or the finding was let go.
+    """
+    if row.kind != MACHINE or row.window_id is None:
+        return None
+    try:
+        finding = assets.finding_of(connection, row.window_id).finding
+    except NotFound:
+        return None
+    name = furthest_beyond(finding.indicators, finding.thresholds)
+    if name is None:
+        return None
+    value, threshold = finding.indicators[name], finding.thresholds[name]
+    unit = finding.units.get(name, "")
+    return {"indicator": name, "value": value, "threshold": threshold, "unit": unit}
 
 
 def _message(finding: Finding) -> str:
