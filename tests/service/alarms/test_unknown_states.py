@@ -5,7 +5,6 @@ import json
 import httpx
 import numpy as np
 import pytest
-import structlog
 
 from residuum.diagnosis.finding import Finding
 from residuum.identification.errors import BadInput
@@ -67,7 +66,7 @@ def test_units_of_windows_are_those_that_windows_have(channels):
     assert units_of_windows(channels, units) == dict(named(record, channels).units)
 
 
-def test_what_shows_late_is_told_by_log_and_store_until_a_window_has_it(tmp_path):
+def test_what_shows_late_is_told_by_log_and_store_until_a_window_has_it(tmp_path, log_lines):
     rule = AlarmRule(suppress=[{"signal": "sped", "unit": "rpm", "below": 60}])
     store = DiskStore(tmp_path, f"sqlite:///{tmp_path / 'r.db'}", rule_of=lambda _asset: rule)
 
@@ -75,13 +74,12 @@ def test_what_shows_late_is_told_by_log_and_store_until_a_window_has_it(tmp_path
         record = Record({name: np.zeros(3)}, {name: unit}, 1.0)
         store.add_window(asset, record, Finding("bearing", "faulty", reason="-"))
 
-    with structlog.testing.capture_logs() as logs:
-        see("press", "speed")
-        see("press", "speed")
-        see("fan", "sped")
+    see("press", "speed")
+    see("press", "speed")
+    see("fan", "sped")
     why = "suppress: no signal 'sped'; did you mean 'speed'? there are speed"
     assert store.untold_states.now() == {"press": why}
-    assert [(line["machine"], line["reason"]) for line in logs] == [("press", why)]
+    assert [(line["machine"], line["reason"]) for line in log_lines] == [("press", why)]
     see("press", "sped", "V")
     assert "'sped' is in V" in store.untold_states.now()["press"]
     see("press", "sped")
