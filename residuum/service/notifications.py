@@ -13,9 +13,10 @@ from __future__ import annotations
 import queue
 import threading
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from datetime import UTC, datetime
+from functools import partial
 from typing import Any
 
 import orjson
@@ -44,6 +45,14 @@ log = structlog.get_logger()
 _LOOK = 1.0
 
 
+NoteOrder = Callable[[int, str, str], None]
+"""Keeps of (alarm, number of its work order, receiver that made it)."""
+
+
+def _kept_nowhere(_alarm: int, _number: str, _receiver: str) -> None:
+    """Of who keeps no numbers."""
+
+
 class Receiver:
     """One receiver with its thread.
 
@@ -61,6 +70,7 @@ class Receiver:
     def __init__(self, name: str, address: str, send: Send, *, findings: bool) -> None:
         self.name = name
         self.sent = self.dropped = 0
+        self._order: str | None = None
         self.trouble: str | None = None
         """What the last attempt failed by, None where it did not."""
         self._address, self._send, self._findings = address, send, findings
@@ -71,8 +81,9 @@ class Receiver:
             target=self._deliver_all, name=f"notify {name}", daemon=True
         )
 
-    def start(self, outbox: Outbox) -> None:
-        """Begin to tell what waits in the outbox."""
+    def start(self, outbox: Outbox, note_order: NoteOrder = _kept_nowhere) -> None:
+        """Begin to tell what waits in the outbox, and have the numbers of work orders kept."""
+        self._note_order = note_order
         self._outbox, self._id = outbox, outbox.register(self._address, findings=self._findings)
         self._thread.start()
 
@@ -115,7 +126,23 @@ class Receiver:
                 continue
             self._lost("alarm", notice.passed_over)
             # noted after it was delivered: after a crash in between it is told twice, not never
-            self._outbox.told(self._id, notice)
+            self._until_kept(partial(self._outbox.told, self._id, notice))
+            if self._order is not None and notice.alarm is not None:
+                kept = (notice.alarm["id"], self._order, self.name)
+                self._until_kept(partial(self._note_order, *kept))
+
+    def _until_kept(self, note: Callable[[], None]) -> None:
+        """Note what was delivered; the store may be away, and what was delivered is not delivered
+        again for that.
+        """
+        while True:
+            try:
+                note()
+                return
+            except StorageUnavailable as error:
+                log.error("what was told is not noted", receiver=self.name, reason=str(error))
+                if self._stopped.wait(self._backoff.next()):
+                    return
 
     def _tell_of_findings(self) -> bool:
         """Tell a batch of what waits; False when more may wait."""
@@ -150,8 +177,9 @@ class Receiver:
         """Whether the receiver has it, or refused it for good; a pause after an attempt that
         failed.
         """
+        self._order = None
         try:
-            self._send(kind, payload)
+            self._order = self._send(kind, payload)
         except Refused as error:  # it will not like it better the next time
             self.dropped += 1
             self.trouble = f"refused a notification at {_now()}, {self.dropped} are lost: {error}"
@@ -212,11 +240,11 @@ class Notifications:
             name = f"{'mqtt' if address.tls is None else 'mqtts'}://{address.host}:{address.port}"
             self.receivers.append(Receiver(name, settings.mqtt, Broker(address), findings=True))
 
-    def start(self, outbox: Outbox) -> None:
-        """Begin to tell; nothing is told before."""
+    def start(self, outbox: Outbox, note_order: NoteOrder = _kept_nowhere) -> None:
+        """Begin to tell, and have the numbers of work orders kept; nothing is told before."""
         self._outbox = outbox
         for receiver in self.receivers:
-            receiver.start(outbox)
+            receiver.start(outbox, note_order)
 
     def tell(self, kind: str, _payload: Mapping[str, Any]) -> None:
         """A finding or a change of an alarm waits in the outbox."""

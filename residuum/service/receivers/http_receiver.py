@@ -6,7 +6,7 @@ import http.client
 import socket
 import urllib.request
 from abc import abstractmethod
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any
 from urllib.error import HTTPError
@@ -29,9 +29,6 @@ from residuum.service.secret_texts import secret_of, without
 _LATER = (408, 425, 429)
 # Characters of an answer that a refusal tells, and bytes of one that are read.
 _TOLD, _READ = 200, 2**20
-
-Post = Callable[[Any, Mapping[str, str]], bytes]
-"""Posts (body, more headers), and gives the answer's body."""
 
 
 class _NoDetour(urllib.request.HTTPRedirectHandler):
@@ -127,11 +124,11 @@ class HttpReceiver(ReceiverSettings):
             raise BadInput(f"setting receivers, url_file: {self.url_file}: {error}") from None
         return url
 
-    def _post(self) -> Post:
+    def _post(self) -> Poster:
         """What posts bodies to the address."""
         url = self._url()
         parts = urlsplit(url)
-        handlers: list[Any] = [_NoDetour]
+        handlers: list[Any] = [_NoDetour, urllib.request.HTTPCookieProcessor]
         if parts.scheme == "https" and self.ca is not None:
             handlers.append(urllib.request.HTTPSHandler(context=BrokerTls(ca=self.ca).context()))
         # what an answer may repeat of the address
@@ -167,13 +164,15 @@ class Poster:
         return self.ask(body, {"Content-Type": "application/json", **headers})[0]
 
     def ask(
-        self, body: bytes | None, headers: Mapping[str, str]
+        self, body: bytes | None, headers: Mapping[str, str], url: str | None = None
     ) -> tuple[bytes, http.client.HTTPMessage]:
-        """Body and head of the answer to a POST, without a body to a GET; raises as a call does."""
+        """Body and head of the answer to a POST, without a body to a GET, at the address or another
+        of the same server; raises as a call does.
+        """
         told = {"User-Agent": "residuum", **headers}
         try:
             # the scheme was compared when the settings were read
-            request = urllib.request.Request(self.url, body, told)
+            request = urllib.request.Request(url or self.url, body, told)
             with self._opener.open(request, timeout=PATIENCE) as answer:
                 return answer.read(_READ), answer.headers
         except HTTPError as error:
@@ -185,6 +184,17 @@ class Poster:
             raise ConnectionError(reason) from None
         except (http.client.HTTPException, OSError) as error:
             raise ConnectionError(without(str(error), *self._secrets)) from None
+
+
+def csrf_token(post: Poster, head: Mapping[str, str]) -> dict[str, str]:
+    """The header without which SAP's OData services refuse a POST, asked of the service's root with
+    its cookies; none where the answer has none.
+    """
+    parts = urlsplit(post.url)
+    root = parts._replace(path=parts.path.rpartition("/")[0] + "/").geturl()
+    fetch = {"X-CSRF-Token": "Fetch", "Accept": "application/json", **head}
+    token = post.ask(None, fetch, root)[1].get("X-CSRF-Token")
+    return {} if token is None else {"X-CSRF-Token": token}
 
 
 def _text(error: HTTPError) -> str:

@@ -8,6 +8,7 @@ import hashlib
 import hmac
 import time
 from collections.abc import Mapping
+from functools import partial
 from pathlib import Path
 from typing import Any, Literal
 
@@ -15,8 +16,16 @@ import orjson
 from pydantic import Field, SecretStr, model_validator
 
 from residuum.identification.errors import BadInput
-from residuum.service.receivers.http_receiver import HttpReceiver
+from residuum.service.receivers.http_receiver import HttpReceiver, csrf_token
 from residuum.service.receivers.receiver_settings import Send
+from residuum.service.receivers.work_orders import (
+    OrderTemplate,
+    Scalar,
+    is_order,
+    order_body,
+    order_number,
+    read_template,
+)
 from residuum.service.secret_texts import first_line, secret_of
 
 # What a secret of Standard Webhooks begins with; the rest is Base64.
@@ -44,6 +53,22 @@ class Webhook(HttpReceiver):
     header_files: dict[str, Path] = Field(
         {}, max_length=20, description="More headers, each from the first line of a file."
     )
+    template: str | None = Field(
+        None,
+        description=(
+            "Makes a work order of each new fault instead: sap-pm, maximo, or a file of a template."
+        ),
+    )
+    fields: dict[str, Scalar] = Field(
+        {},
+        max_length=100,
+        description="template: constants of its body, as plant, site and type of notification.",
+    )
+    objects: dict[str, str] = Field(
+        {},
+        max_length=10_000,
+        description="template: machine → its equipment or asset number there; else its own name.",
+    )
     signing_secret: SecretStr | None = Field(
         None, description="Shared secret of signatures, whsec_ and Base64, or any text."
     )
@@ -55,6 +80,8 @@ class Webhook(HttpReceiver):
     def _who_enters(self) -> Webhook:
         if (self.user is None) != (self.password is None and self.password_file is None):
             raise ValueError("user and password, or password_file: one of them is not enough")
+        if self.template is None and (self.fields or self.objects):
+            raise ValueError("fields and objects: are of a template; write template: sap-pm")
         for name in (*self.headers, *self.header_files):
             if not name.replace("-", "").isalnum() or not name.isascii():
                 raise ValueError("headers: a name has letters, digits and - alone")
@@ -65,17 +92,29 @@ class Webhook(HttpReceiver):
         return self._url()
 
     def opened(self, public_url: str | None) -> Send:
-        """Posts the payload, signed."""
+        """Posts the payload, or the work order of a template, signed."""
         post, head, key = self._post(), self._head(), self._key()
+        template = None if self.template is None else read_template(self.template)
+
+        def posted(payload: Mapping[str, Any], body: Any, more: Mapping[str, str]) -> bytes:
+            text = orjson.dumps(body, option=orjson.OPT_SERIALIZE_NUMPY)
+            signature = {} if key is None else signed(key, payload.get("notice"), text)
+            return post(text, {**head, **more, **signature})
 
         def send(kind: str, payload: Mapping[str, Any]) -> None:
-            body = orjson.dumps(
-                self.body(kind, payload, public_url), option=orjson.OPT_SERIALIZE_NUMPY
-            )
-            signature = {} if key is None else signed(key, payload.get("notice"), body)
-            post(body, {**head, **signature})
+            posted(payload, self.body(kind, payload, public_url), {})
 
-        return send
+        def order(template: OrderTemplate, kind: str, payload: Mapping[str, Any]) -> str | None:
+            if not is_order(kind, payload):
+                return None
+            body = order_body(
+                template, payload, public_url=public_url, fields=self.fields, objects=self.objects
+            )
+            token = csrf_token(post, head) if template.csrf else {}
+            more = {"Accept": "application/json", **template.headers, **token}
+            return order_number(template, posted(payload, body, more))
+
+        return send if template is None else partial(order, template)
 
     def body(self, kind: str, payload: Mapping[str, Any], public_url: str | None) -> Any:
         """The payload, with the kind of event."""

@@ -387,6 +387,11 @@ class DiskStore:
         self._announce("alarm", changed.to_json())
         return changed
 
+    def note_order(self, alarm: int, number: str, receiver: str) -> None:
+        """Keep the number of the work order that a receiver made of an alarm."""
+        with self._database.write() as connection:
+            alarm_rows.note_order(connection, alarm, number, receiver, _now())
+
     def confirm(
         self, asset: str, finding: int, observed: FoundAtMachine, by: str | None = None
     ) -> Confirmation:
