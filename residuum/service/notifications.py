@@ -218,6 +218,14 @@ def receivers_of(settings: Settings) -> Sequence[ReceiverSettings]:
     return receivers
 
 
+def _told_apart(names: Sequence[str]) -> list[str]:
+    """The names, those that there are twice with their number: a host has several receivers."""
+    return [
+        f"{name} ({names[: place + 1].count(name)})" if names.count(name) > 1 else name
+        for place, name in enumerate(names)
+    ]
+
+
 def _plain_webhook(url: str) -> Webhook:
     try:
         return Webhook.model_validate({"kind": "webhook", "url": url})
@@ -231,9 +239,12 @@ class Notifications:
 
     def __init__(self, settings: Settings) -> None:
         public_url = None if settings.public_url is None else str(settings.public_url)
+        receivers = receivers_of(settings)
         self.receivers = [
-            Receiver(of.called, of.address(), of.opened(public_url), findings=False)
-            for of in receivers_of(settings)
+            Receiver(name, of.address(), of.opened(public_url), findings=False)
+            for name, of in zip(
+                _told_apart([of.called for of in receivers]), receivers, strict=True
+            )
         ]
         if settings.mqtt:
             address = settings.broker

@@ -20,10 +20,16 @@ def first_line(file: Path, setting: str) -> str:
 
 
 def secret_of(text: SecretStr | None, file: Path | None, setting: str) -> str | None:
-    """A secret from its text or its file, None where neither is given."""
-    if file is not None:
-        return first_line(file, setting)
-    return None if text is None else text.get_secret_value()
+    """A secret from its text or its file, None where neither is given; BadInput for an empty one,
+    which would keep nobody out.
+    """
+    if file is None and text is None:
+        return None
+    secret = first_line(file, setting) if file is not None else text and text.get_secret_value()
+    if not secret:
+        where = f"{file}: its first line" if file is not None else "it"
+        raise BadInput(f"setting {setting}: {where} is empty; write the secret there")
+    return secret
 
 
 def without(text: str, *secrets: str | None) -> str:

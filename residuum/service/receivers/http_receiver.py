@@ -124,15 +124,15 @@ class HttpReceiver(ReceiverSettings):
             raise BadInput(f"setting receivers, url_file: {self.url_file}: {error}") from None
         return url
 
-    def _post(self) -> Poster:
-        """What posts bodies to the address."""
+    def _post(self, *told: str | None) -> Poster:
+        """What posts bodies to the address; `told` are secrets of its own that an answer may repeat."""
         url = self._url()
         parts = urlsplit(url)
         handlers: list[Any] = [_NoDetour, urllib.request.HTTPCookieProcessor]
         if parts.scheme == "https" and self.ca is not None:
             handlers.append(urllib.request.HTTPSHandler(context=BrokerTls(ca=self.ca).context()))
         # what an answer may repeat of the address
-        secrets = (url, parts.path if len(parts.path) > 1 else None, parts.query)
+        secrets = (url, parts.path if len(parts.path) > 1 else None, parts.query, *told)
         return Poster(url, urllib.request.build_opener(*handlers), secrets)
 
 

@@ -93,7 +93,8 @@ class Webhook(HttpReceiver):
 
     def opened(self, public_url: str | None) -> Send:
         """Posts the payload, or the work order of a template, signed."""
-        post, head, key = self._post(), self._head(), self._key()
+        head, key = self._head(), self._key()
+        post = self._post(self._password(), *head.values())
         template = None if self.template is None else read_template(self.template)
 
         def posted(payload: Mapping[str, Any], body: Any, more: Mapping[str, str]) -> bytes:
@@ -126,12 +127,14 @@ class Webhook(HttpReceiver):
         for name, file in self.header_files.items():
             head[name] = first_line(file, f"receivers, header_files, {name}")
         if self.user is not None:
-            password = secret_of(self.password, self.password_file, "receivers, password_file")
-            pair = base64.b64encode(f"{self.user}:{password}".encode()).decode()
+            pair = base64.b64encode(f"{self.user}:{self._password()}".encode()).decode()
             head["Authorization"] = f"Basic {pair}"
         if any(not value.isascii() or "\n" in value or "\r" in value for value in head.values()):
             raise BadInput("setting receivers, headers: a value is a line of ASCII")
         return head
+
+    def _password(self) -> str | None:
+        return secret_of(self.password, self.password_file, "receivers, password_file")
 
     def _key(self) -> bytes | None:
         secret = secret_of(

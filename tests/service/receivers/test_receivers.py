@@ -20,6 +20,7 @@ from residuum.identification.record import Record
 from residuum.service.cli import run
 from residuum.service.notifications import Notifications, receivers_of
 from residuum.service.receivers import RECEIVERS
+from residuum.service.receivers.receiver_settings import Refused
 from residuum.service.settings import BadSettings, load_settings
 from residuum.service.storage import DiskStore
 from tests.service.receivers.mail_server import MailServer
@@ -245,6 +246,17 @@ def test_who_refuses_for_good_is_told_and_holds_up_nobody(telling, hook_of, log_
     wait_until(lambda: notifications.troubles() == {})
 
 
+def test_an_answer_that_repeats_a_secret_is_told_without_it(telling, hook_of):
+    echo = hook_of(statuses=[400], says=f"k3y-s3cret, eva:pa55-s3cret, /{SECRET}".encode())
+    entered = {"headers": {"apikey": "k3y-s3cret"}, "user": "eva", "password": "pa55-s3cret"}
+    (receiver,) = receivers_of(
+        load_settings(receivers=[{"kind": "webhook", "url": echo.url, **entered}])
+    )
+    with pytest.raises(Refused) as refused:
+        receiver.opened(None)("alarm", {})
+    assert str(refused.value) == "status 400: ***, eva:***, ***"
+
+
 def test_who_has_a_message_already_gets_it_no_second_time(telling, hook_of):
     server = hook_of(of=MailServer, replies={"RCPT": ["", "451 greylisted", "", "", "550 gone"]})
     store, notifications = telling(mail(server))
@@ -256,6 +268,18 @@ def test_who_has_a_message_already_gets_it_no_second_time(telling, hook_of):
     assert server.told.get(timeout=60)[0] == [PEOPLE[0]]
     wait_until(lambda: notifications.receivers[0].dropped == 1)
     assert f"{PEOPLE[1]}: 550 gone" in notifications.troubles()["email 127.0.0.1"]
+
+
+def test_two_of_one_host_are_told_apart(telling, hook_of):
+    first = hook_of(statuses=[404])
+    other = {"kind": "slack", "url": f"{first.url}/other"}
+    store, notifications = telling({"kind": "slack", "url": first.url}, other)
+    assert [receiver.name for receiver in notifications.receivers] == [
+        "slack http://127.0.0.1 (1)",
+        "slack http://127.0.0.1 (2)",
+    ]
+    see(store, "faulty")
+    wait_until(lambda: len(notifications.troubles()) == 1)
 
 
 def test_too_many_requests_are_no_refusal(telling, hook_of):
@@ -314,7 +338,8 @@ def test_two_that_are_one_and_files_that_are_none_are_refused(tmp_path):
         Notifications(twice)
     assert "s3cret" not in str(refused.value)
     (tmp_path / "url").write_text("not an address s3cret\n")
-    for file, says in (("url", "must be https"), ("none", "cannot be read")):
+    (tmp_path / "empty").write_text("\n")
+    for file, says in (("url", "must be https"), ("none", "cannot be read"), ("empty", "is empty")):
         receiver = {"kind": "slack", "url_file": str(tmp_path / file)}
         with pytest.raises(BadInput, match=says) as refused:
             Notifications(load_settings(receivers=[receiver]))
