@@ -346,14 +346,13 @@ def kind_of(key):
     if "$ref" in key:
         name = key["$ref"].rsplit("/", 1)[1]
         return f"[{name}](#{name.lower()})"
-    if "anyOf" in key or "allOf" in key:
+    several = next((key[name] for name in ("anyOf", "allOf", "oneOf") if name in key), None)
+    if several is not None:
         return " or ".join(
-            dict.fromkeys(
-                kind_of(one)
-                for one in key.get("anyOf", key.get("allOf"))
-                if one.get("type") != "null"
-            )
+            dict.fromkeys(kind_of(one) for one in several if one.get("type") != "null")
         )
+    if "const" in key:
+        return f"`{key['const']}`"
     if "enum" in key:
         return ", ".join(f"`{value}`" for value in key["enum"])
     if key.get("type") == "array":

@@ -176,7 +176,7 @@ async def _running(
         for out in outs:
             ends(out.stop)
         await asyncio.to_thread(tell_latest, store, outs)
-        await asyncio.to_thread(notifications.start, store.outbox)
+        await asyncio.to_thread(notifications.start, store.outbox, store.note_order)
         ends(notifications.stop)
         executor = WorkerPool(settings.workers)
         started.callback(executor.shutdown, wait=False, cancel_futures=True)
@@ -194,6 +194,7 @@ async def _running(
             metrics,
             pipeline,
             keys,
+            notifications.troubles,
         )
         await _tell_start(settings, store)
         # left by a crash

@@ -1,9 +1,9 @@
-"""Notifications: changes of alarms and findings, told to webhooks and an MQTT broker; nobody waits
+"""Notifications: changes of alarms and findings, told to receivers and an MQTT broker; nobody waits
 for them.
 
-Alarms and floods of them go to both, findings to the broker alone (QoS 1, topics
-`PREFIX/assets/ASSET/alarm`, `…/finding`, and `PREFIX/flood`). A receiver that is away is tried
-again with growing pauses. Both come from the store's outbox, in their order and at least once, also
+Alarms and floods of them go to all (`residuum.service.receivers`), findings to the broker alone
+(QoS 1, topics `PREFIX/assets/ASSET/alarm`, `…/finding`, and `PREFIX/flood`). A receiver that is away
+is tried again with growing pauses. Both come from the store's outbox, in their order and at least once, also
 after a crash, and also those of other processes on the same database. What waits is bounded: the
 oldest go, and the log says how many.
 """
@@ -13,18 +13,26 @@ from __future__ import annotations
 import queue
 import threading
 import time
-import urllib.request
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
+from datetime import UTC, datetime
+from functools import partial
 from typing import Any
-from urllib.error import HTTPError
-from urllib.parse import urlsplit
 
 import orjson
 import structlog
+from pydantic import ValidationError
 
+from residuum.identification.errors import BadInput
 from residuum.service.broker import BrokerAddress
 from residuum.service.fieldbus.source import Backoff
+from residuum.service.receivers.receiver_settings import (
+    PATIENCE,
+    ReceiverSettings,
+    Refused,
+    Send,
+)
+from residuum.service.receivers.webhook import Webhook
 from residuum.service.settings import Settings
 from residuum.service.storage.outbox import Outbox
 from residuum.service.storage.rows.alarm_floods import FLOOD
@@ -35,14 +43,14 @@ log = structlog.get_logger()
 # Seconds between looks for what other processes on the same database changed. Changes of this
 # process are told at once; only what others wrote is waited for.
 _LOOK = 1.0
-# Seconds for a receiver's answer, and after which the outbox is told which findings of a batch were
-# told.
-_PATIENCE = 5.0
-# HTTP statuses that say that the request itself is wrong: sent again it would be, too.
-_REFUSED = range(400, 500)
 
-Send = Callable[[str, Mapping[str, Any]], None]
-"""Delivers (kind of event, payload); raises OSError when it could not be delivered."""
+
+NoteOrder = Callable[[int, str, str], None]
+"""Keeps of (alarm, number of its work order, receiver that made it)."""
+
+
+def _kept_nowhere(_alarm: int, _number: str, _receiver: str) -> None:
+    """Of who keeps no numbers."""
 
 
 class Receiver:
@@ -62,6 +70,9 @@ class Receiver:
     def __init__(self, name: str, address: str, send: Send, *, findings: bool) -> None:
         self.name = name
         self.sent = self.dropped = 0
+        self._order: str | None = None
+        self.trouble: str | None = None
+        """What the last attempt failed by, None where it did not."""
         self._address, self._send, self._findings = address, send, findings
         self._news = threading.Event()
         self._stopped = threading.Event()
@@ -70,8 +81,9 @@ class Receiver:
             target=self._deliver_all, name=f"notify {name}", daemon=True
         )
 
-    def start(self, outbox: Outbox) -> None:
-        """Begin to tell what waits in the outbox."""
+    def start(self, outbox: Outbox, note_order: NoteOrder = _kept_nowhere) -> None:
+        """Begin to tell what waits in the outbox, and have the numbers of work orders kept."""
+        self._note_order = note_order
         self._outbox, self._id = outbox, outbox.register(self._address, findings=self._findings)
         self._thread.start()
 
@@ -84,7 +96,7 @@ class Receiver:
         self._stopped.set()
         self._news.set()
         if self._thread.ident is not None:
-            self._thread.join(_PATIENCE)
+            self._thread.join(PATIENCE)
 
     def _deliver_all(self) -> None:
         while not self._stopped.is_set():
@@ -108,16 +120,35 @@ class Receiver:
                     "a change of an alarm is damaged and told to nobody: see the alarms",
                     receiver=self.name,
                 )
-            elif not self._attempt(_kind_of(notice.alarm), notice.alarm):
+            elif not self._attempt(
+                _kind_of(notice.alarm), {**notice.alarm, "notice": notice.number}
+            ):
                 continue
             self._lost("alarm", notice.passed_over)
             # noted after it was delivered: after a crash in between it is told twice, not never
-            self._outbox.told(self._id, notice)
+            self._until_kept(partial(self._outbox.told, self._id, notice))
+            if self._order is not None and notice.alarm is not None:
+                kept = (notice.alarm["id"], self._order, self.name)
+                self._until_kept(partial(self._note_order, *kept))
+
+    def _until_kept(self, note: Callable[[], None]) -> None:
+        """Note what was delivered; the store may be away, and what was delivered is not delivered
+        again for that.
+        """
+        while True:
+            try:
+                note()
+                return
+            except StorageUnavailable as error:
+                log.error("what was told is not noted", receiver=self.name, reason=str(error))
+                if self._stopped.wait(self._backoff.next()):
+                    return
 
     def _tell_of_findings(self) -> bool:
         """Tell a batch of what waits; False when more may wait."""
         batch = self._outbox.findings(self._id)
-        until, sent = time.monotonic() + _PATIENCE, []
+        # so long, until the outbox is told which of the batch were told
+        until, sent = time.monotonic() + PATIENCE, []
         # in order: behind one that is not delivered, the others wait
         for finding in batch.findings:
             if (
@@ -146,25 +177,23 @@ class Receiver:
         """Whether the receiver has it, or refused it for good; a pause after an attempt that
         failed.
         """
+        self._order = None
         try:
-            self._send(kind, payload)
-        except HTTPError as error:
-            if error.code in _REFUSED:  # it will not like it better the next time
-                self.dropped += 1
-                log.warning(
-                    "a receiver refused a notification", receiver=self.name, status=error.code
-                )
-                return True
-            log.warning("a receiver gives no receipt", receiver=self.name, status=error.code)
-            self._stopped.wait(self._backoff.next())
+            self._order = self._send(kind, payload)
+        except Refused as error:  # it will not like it better the next time
+            self.dropped += 1
+            self.trouble = f"refused a notification at {_now()}, {self.dropped} are lost: {error}"
+            log.warning("a receiver refused a notification", receiver=self.name, reason=str(error))
+            return True
         except OSError as error:
+            self.trouble = f"takes no notification, tried last at {_now()}: {error}"
             log.warning("a receiver does not answer", receiver=self.name, reason=str(error))
             self._stopped.wait(self._backoff.next())
-        else:
-            self.sent += 1
-            self._backoff.reset()
-            return True
-        return False
+            return False
+        self.sent += 1
+        self.trouble = None
+        self._backoff.reset()
+        return True
 
 
 def _kind_of(notice: Mapping[str, Any]) -> str:
@@ -172,30 +201,75 @@ def _kind_of(notice: Mapping[str, Any]) -> str:
     return FLOOD if notice["kind"] == FLOOD else "alarm"
 
 
+def _now() -> str:
+    return f"{datetime.now(UTC):%Y-%m-%d %H:%M:%S} UTC"
+
+
+def receivers_of(settings: Settings) -> Sequence[ReceiverSettings]:
+    """All receivers of the settings, those of `webhooks` first; BadInput where two are one."""
+    receivers = [*map(_plain_webhook, map(str, settings.webhooks)), *settings.receivers]
+    addresses = [receiver.address() for receiver in receivers]
+    for number, receiver in enumerate(receivers):
+        if addresses[number] in addresses[:number]:
+            raise BadInput(
+                f"setting receivers: {receiver.called}: there are two with this address, and each"
+                " would be told twice; leave one out"
+            )
+    return receivers
+
+
+def _told_apart(names: Sequence[str]) -> list[str]:
+    """The names, those that there are twice with their number: a host has several receivers."""
+    return [
+        f"{name} ({names[: place + 1].count(name)})" if names.count(name) > 1 else name
+        for place, name in enumerate(names)
+    ]
+
+
+def _plain_webhook(url: str) -> Webhook:
+    try:
+        return Webhook.model_validate({"kind": "webhook", "url": url})
+    except ValidationError as error:
+        says = error.errors(include_url=False)[0]["msg"].removeprefix("Value error, ")
+        raise BadInput(f"setting webhooks: {says}") from None
+
+
 class Notifications:
-    """All receivers of the settings."""
+    """All receivers of the settings; BadInput for one that cannot be told as they say."""
 
     def __init__(self, settings: Settings) -> None:
-        urls = map(str, settings.webhooks)
+        public_url = None if settings.public_url is None else str(settings.public_url)
+        receivers = receivers_of(settings)
         self.receivers = [
-            Receiver(_without_secrets(url), url, _webhook(url), findings=False) for url in urls
+            Receiver(name, of.address(), of.opened(public_url), findings=False)
+            for name, of in zip(
+                _told_apart([of.called for of in receivers]), receivers, strict=True
+            )
         ]
         if settings.mqtt:
             address = settings.broker
             name = f"{'mqtt' if address.tls is None else 'mqtts'}://{address.host}:{address.port}"
             self.receivers.append(Receiver(name, settings.mqtt, Broker(address), findings=True))
 
-    def start(self, outbox: Outbox) -> None:
-        """Begin to tell; nothing is told before."""
+    def start(self, outbox: Outbox, note_order: NoteOrder = _kept_nowhere) -> None:
+        """Begin to tell, and have the numbers of work orders kept; nothing is told before."""
         self._outbox = outbox
         for receiver in self.receivers:
-            receiver.start(outbox)
+            receiver.start(outbox, note_order)
 
     def tell(self, kind: str, _payload: Mapping[str, Any]) -> None:
         """A finding or a change of an alarm waits in the outbox."""
         if kind in ("finding", "alarm"):
             for receiver in self.receivers:
                 receiver.look()
+
+    def troubles(self) -> dict[str, str]:
+        """Receiver → what the last attempt to tell it failed by."""
+        return {
+            receiver.name: receiver.trouble
+            for receiver in self.receivers
+            if receiver.trouble is not None
+        }
 
     def stop(self) -> None:
         """End all receivers."""
@@ -204,30 +278,6 @@ class Notifications:
         if self.receivers:
             with suppress(StorageUnavailable):
                 self._outbox.release()
-
-
-class _NoDetour(urllib.request.HTTPRedirectHandler):
-    """Follows nobody elsewhere: a notification would be asked for there, without its body, and the
-    answer taken for a receipt.
-    """
-
-    def redirect_request(self, *_asked: Any, **_named: Any) -> None:
-        """Nowhere: the answer becomes an HTTPError, as every other that is no receipt."""
-
-
-_DIRECT = urllib.request.build_opener(_NoDetour)
-
-
-def _webhook(url: str) -> Send:
-    def post(kind: str, payload: Mapping[str, Any]) -> None:
-        body = orjson.dumps({"event": kind, **payload}, option=orjson.OPT_SERIALIZE_NUMPY)
-        request = urllib.request.Request(
-            url, body, {"Content-Type": "application/json", "User-Agent": "residuum"}
-        )
-        with _DIRECT.open(request, timeout=_PATIENCE):
-            """Any 2xx answer is a receipt."""
-
-    return post
 
 
 class Broker:
@@ -250,7 +300,7 @@ class Broker:
             message = self._client.publish(
                 topic, orjson.dumps(payload, option=orjson.OPT_SERIALIZE_NUMPY), qos=1
             )
-            message.wait_for_publish(_PATIENCE)
+            message.wait_for_publish(PATIENCE)
             if not message.is_published():
                 raise TimeoutError("the broker gave no receipt")
         except (RuntimeError, ValueError) as error:
@@ -281,16 +331,8 @@ class Broker:
         self._client.connect(self._address.host, self._address.port)
         self._client.loop_start()
         try:
-            reason = answered.get(timeout=_PATIENCE)
+            reason = answered.get(timeout=PATIENCE)
         except queue.Empty:
             raise ConnectionError("the broker did not take the connection") from None
         if reason.is_failure:
             raise ConnectionError(f"the broker refuses the connection: {reason}")
-
-
-def _without_secrets(url: str) -> str:
-    """A webhook's address often carries its secret in user, path or query: the log gets the
-    host.
-    """
-    parts = urlsplit(url)
-    return f"{parts.scheme}://{parts.hostname}"

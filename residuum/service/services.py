@@ -103,6 +103,7 @@ class Services:
     metrics: Metrics
     pipeline: LivePipeline
     keys: ApiKeys
+    receiver_troubles: Callable[[], Mapping[str, str]] = dict
     _readers: CapacityLimiter = field(default_factory=lambda: CapacityLimiter(_READERS))
     _writer: CapacityLimiter = field(default_factory=lambda: CapacityLimiter(1))
     _memory: MemoryBudget = field(default_factory=lambda: MemoryBudget(_MEMORY))

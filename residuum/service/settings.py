@@ -21,10 +21,12 @@ from pydantic_settings import (
 
 from residuum.identification.errors import BadInput
 from residuum.identification.yaml_text import read_yaml
-from residuum.nearest_names import did_you_mean
+from residuum.nearest_names import did_you_mean, known_names
 from residuum.service.alarms.alarm_states import AlarmRule
 from residuum.service.broker import BrokerAddress, BrokerTls, broker_address
 from residuum.service.fieldbus.settings import MachineSettings
+from residuum.service.receivers import RECEIVERS, AnyReceiver
+from residuum.service.secret_texts import first_line
 
 SETTINGS_FILE = "RESIDUUM_SETTINGS"
 """Environment variable that names the YAML file."""
@@ -125,6 +127,15 @@ class Settings(BaseSettings):
     )
     webhooks: list[AnyHttpUrl] = Field(
         [], description="Addresses to which every change of an alarm is posted as JSON."
+    )
+    receivers: list[AnyReceiver] = Field(
+        [],
+        max_length=50,
+        description=(
+            "More who are told every change of an alarm, each of a kind: "
+            + ", ".join(RECEIVERS)
+            + "."
+        ),
     )
     mqtt: str = Field(
         "",
@@ -256,22 +267,18 @@ class Settings(BaseSettings):
         password = None
         if self.mqtt_password_file is not None:
             try:
-                # one line, as `echo` and secret stores write them
-                password = (
-                    self.mqtt_password_file.read_text(encoding="utf-8").partition("\n")[0].strip()
-                )
-            except (OSError, UnicodeDecodeError) as error:
-                raise BadSettings(
-                    f"setting mqtt_password_file: {self.mqtt_password_file}: cannot be read:"
-                    f" {error}"
-                ) from None
+                password = first_line(self.mqtt_password_file, "mqtt_password_file")
+            except BadInput as error:
+                raise BadSettings(str(error)) from None
         tls = BrokerTls(ca=self.mqtt_ca, certificate=self.mqtt_certificate, key=self.mqtt_key)
         return broker_address(self.mqtt, tls, password)
 
     def alarm_rule(self, asset: str) -> AlarmRule:
         """The rule of a machine's alarms: its own, or that of the service."""
-        own = (machine.alarms for machine in self.machines if machine.asset == asset)
-        return next(own, None) or self.alarms
+        own = (
+            machine.alarm_rule(self.alarms) for machine in self.machines if machine.asset == asset
+        )
+        return next(own, self.alarms)
 
     @property
     def requests_per_second(self) -> float | None:
@@ -455,7 +462,26 @@ def _one_line(error: ValidationError) -> str:
     first = error.errors(include_url=False)[0]
     where = ".".join(map(str, first["loc"]))
     says = first["msg"].removeprefix("Value error, ")
+    if first["loc"][:1] in _SECRET:
+        return f"setting {where}: {_of_receiver(first, says)}"
     if first["type"] == "extra_forbidden":
         asked = did_you_mean(where, Settings.model_fields)
         return f"setting {where}: is not known; {asked}docs/reference/settings.md lists all"
     return f"settings: {says}" if not where else f"setting {where}: {first['input']!r}: {says}"
+
+
+# What is refused here may be a secret, or hold one: it is not repeated.
+_SECRET = (("receivers",), ("webhooks",))
+
+
+def _of_receiver(error: Any, says: str) -> str:
+    """A refusal of a part of a receiver."""
+    place = error["loc"]
+    if error["type"] == "union_tag_invalid":
+        return f"kind: {known_names(error['ctx']['tag'], RECEIVERS)}"
+    if error["type"] == "union_tag_not_found":
+        return f"kind: is missing; {known_names('', RECEIVERS)}"
+    if error["type"] == "extra_forbidden" and len(place) > 3:
+        fields = RECEIVERS[place[2]].model_fields.items()
+        return f"is not known; {known_names(place[3], [f.alias or name for name, f in fields])}"
+    return says

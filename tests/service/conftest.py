@@ -16,6 +16,7 @@ import uuid
 from pathlib import Path
 
 import pytest
+import structlog
 import uvicorn
 from sqlalchemy import create_engine, text
 from sqlalchemy.engine import make_url
@@ -75,6 +76,16 @@ def demo_baseline(made_once):
         return made_once(f"{machine}.zip", lambda file: train(machine, str(file.parent)))
 
     return baseline
+
+
+@pytest.fixture
+def log_lines():
+    """What is logged during the test, of any severity, whatever a service in this process was told to leave out."""
+    before = structlog.get_config()
+    structlog.configure(wrapper_class=structlog.make_filtering_bound_logger(0))
+    with structlog.testing.capture_logs() as lines:
+        yield lines
+    structlog.configure(**before)
 
 
 @pytest.fixture

@@ -66,7 +66,11 @@ class MachineState(BaseModel):
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
-    signal: str = Field(min_length=1, max_length=200, description="Its name on the bus.")
+    signal: str = Field(
+        min_length=1,
+        max_length=200,
+        description="Its name on the bus, or in the machine's windows where `channels` gives one.",
+    )
     unit: str = Field(max_length=60, description="Unit of the limit.")
     below: float | None = Field(default=None, allow_inf_nan=False)
     above: float | None = Field(default=None, allow_inf_nan=False)
@@ -229,6 +233,23 @@ def beyond(
     return frozenset(
         name for name, (x, tau) in pairs.items() if x is not None and tau is not None and x > tau
     )
+
+
+def furthest_beyond(
+    indicators: Mapping[str, float | None], thresholds: Mapping[str, float | None]
+) -> str | None:
+    """The indicator above its threshold τ with the largest x/τ; of those whose τ has no multiple
+    (0 or below) one only where no other is above its own. None where none is.
+
+    >>> furthest_beyond({"rms": 3.0, "kurtosis": 9.0}, {"rms": 1.0, "kurtosis": 8.0})
+    'rms'
+    """
+    names = sorted(beyond(indicators, thresholds))
+
+    def times(name: str) -> float:
+        return severity(indicators, {name: thresholds[name]})
+
+    return max(names, key=times, default=None)
 
 
 def in_deadband(

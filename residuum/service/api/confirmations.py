@@ -52,7 +52,12 @@ class Found(BaseModel, extra="forbid"):
         None, max_length=200, pattern=TEXT, description="Part that was exchanged or repaired."
     )
     order: str | None = Field(
-        None, max_length=100, pattern=TEXT, description="Number of the work order."
+        None,
+        max_length=100,
+        pattern=TEXT,
+        description=(
+            "Number of the work order; left out: that of the order that a receiver made of the alarm."
+        ),
     )
     who: str | None = Field(
         None,

@@ -27,26 +27,32 @@ def ready(running: Running, request: Request) -> Response:
     it is 200, `degraded`.
 
     `machines` says of each of these why, and what can be done, `storage` what is wrong although
-    windows are stored. Who has no key where keys are needed is told only how many machines are in
-    which state.
+    windows are stored, `alarms` of which machines a state that suppresses alarms cannot be told,
+    `receivers` which of them refused a notification or take none. Who has no key where keys are
+    needed is told only how many machines are in which state.
     """
     # A write, not a question: a disk that is full or read-only is told by a write alone. At most
     # one a second, whoever asks.
     running.store.check()
     states = running.pipeline.status()["machines"]
-    visible = {name: state for name, state in states.items() if caller_of(request).may_see(name)}
+    sees = caller_of(request).may_see
+    visible = {name: state for name, state in states.items() if sees(name)}
+    untold = {name: why for name, why in running.store.untold_states.now().items() if sees(name)}
     named = troubled(visible)
-    storing = running.store.troubles()
+    storing, receivers = running.store.troubles(), running.receiver_troubles()
     # Still 200 where a machine is not judged: nothing is gained by a restart.
     answer = {
-        "status": "degraded" if named or storing else "ready",
+        "status": "degraded" if named or storing or untold or receivers else "ready",
         "version": version("residuum"),
         "states": counted(visible),
     }
     # The gate lets anybody ask here.
     # Names of machines, and what they lack, are for holders of a key.
     stranger = running.keys.needed and not hasattr(request.state, "caller")
-    return Json(answer if stranger else {**answer, "machines": named, "storage": dict(storing)})
+    if stranger:
+        return Json(answer)
+    told = {"machines": named, "storage": storing, "alarms": untold, "receivers": receivers}
+    return Json({**answer, **{subject: dict(whys) for subject, whys in told.items()}})
 
 
 @router.get("/metrics", response_class=Response)

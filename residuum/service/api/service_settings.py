@@ -22,8 +22,8 @@ router = APIRouter(tags=["settings"], route_class=StrictRoute, responses=PROBLEM
 
 @router.get("/settings")
 def list_settings(running: Running) -> Response:
-    """Every setting with its value, whether it was set, and what it means; passwords and the paths
-    of webhooks are hidden.
+    """Every setting with its value, whether it was set, and what it means; passwords, secrets and
+    the paths of webhooks are hidden.
     """
     settings = running.settings
     values = to_jsonable_python(
@@ -47,6 +47,12 @@ def _shown(name: str, value: Any) -> Any:
     """
     if name == "machines":
         return [machine["asset"] for machine in value]
+    # Secrets are marks already; what is not set says nothing.
+    if name == "receivers":
+        return [
+            {key: value for key, value in receiver.items() if value not in (None, "", {}, [])}
+            for receiver in value
+        ]
     # The paths of many webhooks are their secret.
     if name == "webhooks":
         return [f"{urlsplit(address).scheme}://{urlsplit(address).hostname}/…" for address in value]

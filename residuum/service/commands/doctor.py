@@ -34,7 +34,7 @@ from residuum.service.fieldbus.opcua.node_map import read_node_map
 from residuum.service.fieldbus.settings import MachineSettings, SourceSettings
 from residuum.service.fieldbus.sparkplug.metric_map import read_metric_map
 from residuum.service.machines.baselines import has_baseline
-from residuum.service.notifications import Broker
+from residuum.service.notifications import Broker, receivers_of
 from residuum.service.security.access import ApiKeys
 from residuum.service.settings import Settings, is_loopback, load_settings
 from residuum.service.storage import DiskStore, audit
@@ -98,8 +98,8 @@ def doctor(
     settings_file: SettingsFile = None,
     as_json: AsJson = False,
 ) -> None:
-    """Check database, rows, blocks, disk, access, buses, machines, broker, compiled code; exit
-    status 1 when one is wrong.
+    """Check database, rows, blocks, disk, access, buses, machines, broker, receivers, compiled
+    code; exit status 1 when one is wrong.
     """
     settings = load_settings(settings_file, data=data, database=database)
     # Before the checks, which then tell what is left.
@@ -117,6 +117,7 @@ def doctor(
         *_buses(settings),
         *_machines(settings),
         *([_check("broker", lambda: _broker(settings))] if settings.mqtt else []),
+        *_receivers(settings),
         _check("compiled code", _compiled_code),
     ]
     lines = [check.line for check in checks]
@@ -179,11 +180,11 @@ def _machines(settings: Settings) -> list[Check]:
     ]
 
 
-def _machine(settings: Settings, machine: MachineSettings) -> str:
-    says, lacks = machine_check(machine, _baseline(settings, machine))
+def _machine(settings: Settings, machine: MachineSettings) -> tuple[str, str]:
+    says, lacks, remark = machine_check(machine, _baseline(settings, machine), settings.alarms)
     if lacks:
         raise Wrong("; ".join(lacks))
-    return says
+    return says, remark
 
 
 def _baseline(settings: Settings, machine: MachineSettings) -> tuple[bool, int] | None:
@@ -435,6 +436,17 @@ BUSES: dict[str, Callable[[SourceSettings], str | tuple[str, str]]] = {
     "sparkplug": _sparkplug,
 }
 """Kind of a source → what is looked at; a kind that is not here tells its streams."""
+
+
+def _receivers(settings: Settings) -> list[Check]:
+    """Every receiver of alarms: whether it can be reached, and lets us in where it asks who we
+    are.
+    """
+    try:
+        receivers = receivers_of(settings)
+    except BadInput as error:
+        return [Check("receivers", False, str(error))]
+    return [_check(f"receiver {each.called}", each.try_connection) for each in receivers]
 
 
 def _broker(settings: Settings) -> tuple[str, str]:

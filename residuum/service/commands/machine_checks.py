@@ -11,6 +11,8 @@ from residuum.identification.errors import BadInput
 from residuum.identification.physics import load_model
 from residuum.identification.units import compatible
 from residuum.nearest_names import known_names
+from residuum.service.alarms.alarm_states import AlarmRule
+from residuum.service.alarms.machine_states import unknown_states
 from residuum.service.fieldbus import SOURCES
 from residuum.service.fieldbus.settings import MachineSettings
 from residuum.service.machines.adding import guessed_channels, model_signals
@@ -34,22 +36,25 @@ def bus_signals(machine: MachineSettings) -> dict[str, str]:
 
 
 def machine_check(
-    machine: MachineSettings, baseline: tuple[bool, int] | None
-) -> tuple[str, list[str]]:
-    """What a machine has, in a sentence, and what it lacks, a sentence each.
+    machine: MachineSettings, baseline: tuple[bool, int] | None, of_service: AlarmRule
+) -> tuple[str, list[str], str]:
+    """What a machine has, in a sentence, what it lacks, a sentence each, and a remark, empty for
+    none.
 
     Parameters
     ----------
     baseline : (bool, int) or None
         Whether it has a baseline, and the number of recorded windows; None where the service has
         not run yet.
+    of_service : AlarmRule
+        The rule of alarms of machines that have none of their own.
     """
     try:
         # Made for its checks alone: it refuses settings that do not fit together.
-        MachineLine(machine, lambda *_: lambda: None, lambda _: None)
+        line = MachineLine(machine, lambda *_: lambda: None, lambda _: None)
         bus = bus_signals(machine)
     except BadInput as error:
-        return "", [str(error)]
+        return "", [str(error)], ""
     lacks = (
         []
         if machine.diagnoser in DIAGNOSERS
@@ -57,7 +62,9 @@ def machine_check(
     )
     if machine.diagnoser == "model-based":
         lacks += _model_lacks(machine, bus)
-    return f"reads {', '.join(bus)}; {_state(machine, baseline)}", lacks
+    untold = unknown_states(machine.alarm_rule(of_service), line.units)
+    remark = f"alarms, suppress: {'; '.join(untold)}" if untold else ""
+    return f"reads {', '.join(bus)}; {_state(machine, baseline)}", lacks, remark
 
 
 def _model_lacks(machine: MachineSettings, bus: Mapping[str, str]) -> list[str]:

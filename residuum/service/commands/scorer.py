@@ -50,7 +50,7 @@ def scorer(
     notifications = Notifications(settings)
     store = DiskStore(settings.data, settings.database_url, notifications.tell, settings.alarm_rule)
     # Before the first window: what an earlier scorer left untold is told now.
-    notifications.start(store.outbox)
+    notifications.start(store.outbox, store.note_order)
     # One worker: a machine's windows are judged in their order, and more scorers take more
     # machines.
     pool = WorkerPool(1)

@@ -140,6 +140,18 @@ class MachineSettings(StrictModel):
         description="Rule of its alarms; None: that of the service.",
     )
 
+    def alarm_rule(self, of_service: AlarmRule) -> AlarmRule:
+        """The rule of its alarms, its own or that of the service, with its signals called as the
+        machine's windows call them.
+        """
+        rule = self.alarms or of_service
+        called = {bus: name for name, bus in self.channels.items()}
+        states = [
+            state.model_copy(update={"signal": called.get(state.signal, state.signal)})
+            for state in rule.suppress
+        ]
+        return rule.model_copy(update={"suppress": tuple(states)})
+
     @model_validator(mode="after")
     def _each_channel_once(self) -> MachineSettings:
         if len(set(self.channels.values())) < len(self.channels):

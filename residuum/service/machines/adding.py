@@ -186,10 +186,21 @@ def named(record: Record, channels: Mapping[str, str]) -> Record:
     A channel of the bus that is called as another one is to be called gives way to it. A record
     that has the diagnoser's names already stays as it is.
     """
-    renamed = {bus: name for name, bus in channels.items() if bus in record.names and bus != name}
+    renamed, chosen = _chosen(channels, record.names)
+    return record.select(chosen).rename(renamed) if renamed else record
+
+
+def units_of_windows(channels: Mapping[str, str], units: Mapping[str, str]) -> dict[str, str]:
+    """Unit of each signal that windows of a bus with these units have, by the names of `named`."""
+    renamed, chosen = _chosen(channels, list(units))
+    return {renamed.get(name, name): units[name] for name in chosen}
+
+
+def _chosen(channels: Mapping[str, str], names: Sequence[str]) -> tuple[dict[str, str], list[str]]:
+    """What is called otherwise (bus's name → diagnoser's), and all that is taken from the bus."""
+    renamed = {bus: name for name, bus in channels.items() if bus in names and bus != name}
     taken = set(renamed.values())
-    chosen = record.select([name for name in record.names if name in renamed or name not in taken])
-    return chosen.rename(renamed) if renamed else record
+    return renamed, [name for name in names if name in renamed or name not in taken]
 
 
 # Machines that were added while the service ran: kept in the store, each with the bus

@@ -6,7 +6,7 @@ import queue
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from functools import partial
 from typing import Any
@@ -17,10 +17,11 @@ from residuum.diagnosis.finding import Finding
 from residuum.identification.errors import BadInput
 from residuum.identification.record import Record
 from residuum.nearest_names import known_names
+from residuum.service.alarms.machine_states import unknown_states
 from residuum.service.fieldbus import SOURCES
 from residuum.service.fieldbus.settings import MachineSettings
 from residuum.service.fieldbus.source import Block
-from residuum.service.machines.adding import named
+from residuum.service.machines.adding import named, units_of_windows
 from residuum.service.machines.machine_state import (
     LATE,
     SOON,
@@ -94,7 +95,10 @@ class MachineLine:
         wanted = list(streams.values())
         if settings.window.cut != "round":
             wanted = wanted[:1]
-        _refuse_unknown(settings, {name for stream in wanted for name in stream.units})
+        units = {name: unit for stream in wanted for name, unit in stream.units.items()}
+        _refuse_unknown(settings, units)
+        self.units = units_of_windows(settings.channels, units)
+        """Unit of each signal of the windows."""
         self._cutter = make_cutter(settings.window, wanted, settings.asset)
         self._source_of = {
             stream.name: number
@@ -334,12 +338,24 @@ def unreadable(settings: MachineSettings, reason: str) -> dict[str, Any]:
     }
 
 
-def _refuse_unknown(settings: MachineSettings, bus_signals: Collection[str]) -> None:
-    """BadInput for a name in `channels` that the bus has not."""
+def _refuse_unknown(settings: MachineSettings, units: Mapping[str, str]) -> None:
+    """BadInput for a name in `channels`, or in `suppress` of its alarms, that the bus has not, or
+    has in another kind of unit.
+
+    Parameters
+    ----------
+    units : mapping
+        Name on the bus → unit.
+    """
     for name, bus in settings.channels.items():
-        if bus not in bus_signals:
-            known = known_names(bus, sorted(bus_signals), "it has")
+        if bus not in units:
+            known = known_names(bus, sorted(units), "it has")
             raise BadInput(
                 f"machine {settings.asset!r}, channels, {name}: the bus has no signal {bus!r};"
                 f" {known}"
             )
+    # only its own rule: one of the service names signals that other machines have
+    if settings.alarms is not None:
+        of_windows = units_of_windows(settings.channels, units)
+        for says in unknown_states(settings.alarm_rule(settings.alarms), of_windows):
+            raise BadInput(f"machine {settings.asset!r}, alarms, suppress: {says}")

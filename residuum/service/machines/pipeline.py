@@ -320,8 +320,8 @@ class Pipeline:
 
     def alarm_rule(self, asset: str) -> AlarmRule:
         """The rule of a machine's alarms: its own, or that of the service."""
-        own = self._lines[asset].settings.alarms if asset in self._lines else None
-        return own or self._settings.alarms
+        rule = self._settings.alarms
+        return self._lines[asset].settings.alarm_rule(rule) if asset in self._lines else rule
 
     def _line(self, asset: str) -> MachineLine:
         if asset not in self._lines:

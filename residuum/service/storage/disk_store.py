@@ -21,7 +21,7 @@ from residuum.diagnosis.finding import Finding
 from residuum.identification.errors import in_one_line
 from residuum.identification.record import Record
 from residuum.service.alarms.alarm_states import AlarmEvent, AlarmRule
-from residuum.service.alarms.machine_states import suppressing_state
+from residuum.service.alarms.machine_states import UntoldStates, suppressing_state
 from residuum.service.storage import audit as audit_trail
 from residuum.service.storage import retention
 from residuum.service.storage.blocks import BlockReference, Blocks, BrokenBlock
@@ -139,6 +139,7 @@ class DiskStore:
         self._place = SamePlace(self._blocks.folder, sqlite_file(database_url))
         self._announce = announce
         self._rule_of = rule_of
+        self.untold_states = UntoldStates()
         self._checking, self._checked_at = threading.Lock(), -math.inf
         self._refusal: StorageUnavailable | None = None
 
@@ -303,6 +304,7 @@ class DiskStore:
             )
             changed = alarm_rows.follow(connection, asset, judged)
         self._refuse_moved()
+        self.untold_states.note(asset, rule, record)
         # After the commit: a page that hears of it reads the rows at once, and must find them.
         self._announce("finding", StoredFinding(number, asset, window, now, finding).to_json())
         for alarm in changed:
@@ -384,6 +386,11 @@ class DiskStore:
             changed = alarm_rows.operate(connection, alarm, note, until)
         self._announce("alarm", changed.to_json())
         return changed
+
+    def note_order(self, alarm: int, number: str, receiver: str) -> None:
+        """Keep the number of the work order that a receiver made of an alarm."""
+        with self._database.write() as connection:
+            alarm_rows.note_order(connection, alarm, number, receiver, _now())
 
     def confirm(
         self, asset: str, finding: int, observed: FoundAtMachine, by: str | None = None

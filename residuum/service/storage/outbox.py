@@ -23,7 +23,7 @@ from sqlalchemy.exc import IntegrityError
 from residuum.service.storage.database import Database
 from residuum.service.storage.rows import finding_notices, row_checks
 from residuum.service.storage.tables import alarm_notices, receivers
-from residuum.service.store import Alarm, StoredFinding
+from residuum.service.store import StoredFinding
 
 MOST_NOTICES = 1000
 """Notices that wait at most; the oldest go."""
@@ -50,11 +50,6 @@ class WaitingFindings:
 
     findings: Sequence[StoredFinding]
     lost: int
-
-
-def add(connection: Connection, alarm: Alarm) -> None:
-    """Write a notice of an alarm, after the entry of the audit trail in the same transaction."""
-    add_notice(connection, alarm.to_json())
 
 
 def add_notice(connection: Connection, notice: Mapping[str, Any]) -> None:

@@ -336,6 +336,25 @@ def test_no_setting_tells_a_password(run_service, no_machines):
     ]
 
 
+def test_the_settings_page_tells_of_receivers_that_take_nothing(
+    run_service, no_machines, open_page, legible, free_port
+):
+    receivers = [{"kind": "slack", "name": "shift", "url": f"http://127.0.0.1:{free_port()}/x"}]
+    service = run_service(no_machines, receivers=receivers)
+    record = Record({"y": [0.0, 1.0]}, {"y": "V"}, 1.0)
+    service.services.store.add_window("press", record, Finding("bearing", "faulty", reason="-"))
+    page = open_page(service.url + "/#/settings")
+    row = page.get_by_role("row", name=re.compile("^shift takes no notification, tried last at"))
+    for _ in range(200):
+        if row.count():
+            break
+        page.wait_for_timeout(100)
+        page.reload()
+        expect(page.get_by_role("row", name=re.compile("^receivers kind slack"))).to_be_visible()
+    expect(row).to_be_visible()
+    legible(page)
+
+
 @pytest.fixture
 def guarded(run_service, no_machines, tmp_path):
     """A service with keys, and a key a role."""

@@ -10,7 +10,7 @@ from dataclasses import asdict, dataclass
 from datetime import datetime
 from typing import Any
 
-from sqlalchemy import Connection, Row, insert, select, update
+from sqlalchemy import Connection, Row, func, insert, select, update
 
 from residuum.diagnosis.finding import Finding, Verdict
 from residuum.service.alarms import alarm_states
@@ -23,11 +23,12 @@ from residuum.service.alarms.alarm_states import (
     AlarmState,
     AlarmStatus,
     beyond,
+    furthest_beyond,
     in_deadband,
     severity,
 )
 from residuum.service.storage import audit, outbox
-from residuum.service.storage.rows import alarm_floods, paging, row_checks
+from residuum.service.storage.rows import alarm_floods, assets, paging, row_checks
 from residuum.service.storage.tables import alarm_journal, alarms
 from residuum.service.store import Alarm, AlarmEntry, NotFound, Page
 
@@ -44,6 +45,8 @@ _CONDITIONS: dict[Verdict, tuple[tuple[str, bool], ...]] = {
     # A window that cannot be judged says nothing about the machine: its alarm stays as it is.
     Verdict.NOT_ASSESSABLE: ((SIGNAL, True),),
 }
+# Event of an alarm's journal: a work order was made of it, whose number ends the comment.
+_ORDER, _WORK_ORDER = "order", "work order "
 _LISTED = tuple(state.value for state in ACTIVE)
 
 
@@ -417,6 +420,7 @@ def _change(
         "by": note.by,
         "comment": note.comment,
     }
+    first = _first_listed(connection, row)
     connection.execute(insert(alarm_journal).values(row_checks.sealed(alarm_journal, entry)))
     action, subject = f"alarm {note.event.value}", f"alarm {alarm}"
     detail = {"asset": row.asset_id, "kind": row.kind, "state": row.state, "comment": note.comment}
@@ -425,8 +429,82 @@ def _change(
     # In a flood its one notice stands for all alarms; what people do with alarms is told all the
     # same.
     if not alarm_floods.takes(connection, note.event, flood, note.at):
-        outbox.add(connection, changed)
+        told = changed.to_json() | {"change": note.event.value, "first": first}
+        told["says"] = row.message
+        outbox.add_notice(connection, told | {"exceeded": _exceeded(connection, row)})
     return changed
+
+
+def _first_listed(connection: Connection, row: Row[Any]) -> bool:
+    """Whether an alarm that comes onto the list now was not on it since it was normal the last
+    time: one work order is enough for a fault that comes and goes unanswered.
+    """
+    if row.state != AlarmState.UNACKNOWLEDGED.value:
+        return False
+    c = alarm_journal.c
+    of_alarm = c.alarm_id == row.id
+    query = select(func.max(c.id)).where(of_alarm, c.state == AlarmState.NORMAL.value)
+    listed = of_alarm & (c.state == row.state) & (c.id > (connection.scalar(query) or 0))
+    return connection.execute(select(c.id).where(listed).limit(1)).first() is None
+
+
+def note_order(
+    connection: Connection, alarm: int, number: str, receiver: str, now: datetime
+) -> None:
+    """Keep the number of the work order that a receiver made of an alarm, in its journal and the
+    audit trail.
+    """
+    row = _row(connection, alarm)
+    entry = {"alarm_id": alarm, "at": now, "event": _ORDER, "state": row.state, "by": None}
+    entry["comment"] = f"{_WORK_ORDER}{number}"
+    connection.execute(insert(alarm_journal).values(row_checks.sealed(alarm_journal, entry)))
+    detail = {"asset": row.asset_id, "order": number, "receiver": receiver}
+    audit.append(connection, "alarm order", f"alarm {alarm}", by=None, now=now, detail=detail)
+
+
+def order_of(connection: Connection, asset: str, at: datetime) -> str | None:
+    """The number of the newest work order that was made of the fault of a machine that stood at a
+    moment; None where none was.
+    """
+    c = alarm_journal.c
+    query = (
+        select(alarm_journal)
+        .join_from(alarm_journal, alarms)
+        .where(alarms.c.asset_id == asset, alarms.c.kind == MACHINE)
+    )
+    until = c.state == AlarmState.NORMAL.value
+    # from when it was normal the last time until it was so again
+    before = connection.execute(
+        query.where(until, c.at <= at).order_by(c.id.desc()).limit(1)
+    ).first()
+    after = connection.execute(query.where(until, c.at > at).order_by(c.id).limit(1)).first()
+    made = query.where(c.event == _ORDER)
+    if before is not None:
+        made = made.where(c.id > before.id)
+    if after is not None:
+        made = made.where(c.id < after.id)
+    entry = connection.execute(made.order_by(c.id.desc()).limit(1)).first()
+    if entry is None or row_checks.differs(alarm_journal, entry._mapping):
+        return None
+    return str(entry.comment).removeprefix(_WORK_ORDER)
+
+
+def _exceeded(connection: Connection, row: Row[Any]) -> dict[str, Any] | None:
+    """The indicator that lay furthest beyond its threshold in the alarm's worst finding, with both
+    and their unit; None where there is none, or the finding was let go.
+    """
+    if row.kind != MACHINE or row.window_id is None:
+        return None
+    try:
+        finding = assets.finding_of(connection, row.window_id).finding
+    except NotFound:
+        return None
+    name = furthest_beyond(finding.indicators, finding.thresholds)
+    if name is None:
+        return None
+    value, threshold = finding.indicators[name], finding.thresholds[name]
+    unit = finding.units.get(name, "")
+    return {"indicator": name, "value": value, "threshold": threshold, "unit": unit}
 
 
 def _message(finding: Finding) -> str:

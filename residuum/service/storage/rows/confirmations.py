@@ -15,7 +15,7 @@ from sqlalchemy import ColumnElement, Connection, Row, func, insert, select, tru
 from residuum.diagnosis.finding import Verdict
 from residuum.identification.errors import BadInput
 from residuum.service.storage import audit
-from residuum.service.storage.rows import assets, paging, row_checks
+from residuum.service.storage.rows import alarms, assets, paging, row_checks
 from residuum.service.storage.tables import confirmations, findings
 from residuum.service.store import (
     Asset,
@@ -71,7 +71,8 @@ def add(
         "outcome": observed.outcome.value,
         "cause": observed.cause,
         "part": observed.part,
-        "order_number": observed.order,
+        # the one that a receiver made of the alarm, where nobody names another
+        "order_number": observed.order or alarms.order_of(connection, asset, stored.at),
         "who": observed.who or by or "",
         "found_at": observed.found_at or now,
         "note": observed.note,

@@ -78,13 +78,24 @@ export function settingsPage(place) {
     h("a", { href: "/docs/" }, "How"),
   ];
   return begin(place, "Settings", says, async (body) => {
-    const { items } = await call("/settings");
+    const [{ items }, { receivers = {}, alarms = {} }] = await Promise.all([
+      call("/settings"),
+      // a service that can store nothing says so itself; what is set is shown all the same
+      call("/health/ready").catch(() => ({})),
+    ]);
+    const troubles = [...Object.entries(receivers), ...Object.entries(alarms)];
     const row = ({ name, value, set, meaning }) => [
       h("code", {}, name),
       h("div", {}, h(set ? "b" : "span", {}, text(value)), set ? null : h("span", { class: "muted small" }, " (default)")),
       meaning,
     ];
-    show(body, panel("Settings", "bold: set, not the default", table(["Setting", "Value", "What it means"], items.map(row))));
+    show(
+      body,
+      troubles.length
+        ? panel("Alarms that do not arrive", "receivers, and machines with a rule", table(["Of", "Why"], troubles))
+        : null,
+      panel("Settings", "bold: set, not the default", table(["Setting", "Value", "What it means"], items.map(row))),
+    );
   });
 }
 
@@ -92,7 +103,7 @@ const text = (value) =>
   value === null || value === "" || (Array.isArray(value) && !value.length)
     ? "none"
     : Array.isArray(value)
-      ? value.join(", ")
+      ? value.map(text).join(", ")
       : typeof value === "object"
         ? Object.entries(value)
             .map(([name, each]) => `${name} ${text(each)}`)
