@@ -26,6 +26,10 @@ COUNTERS = {
     "timeouts": "Modbus requests without a reply in time",
     "reconnects": "times the source was opened again",
     "bad_status": "OPC UA and Sparkplug values whose status is not good, taken as missing",
+    "no_value": (
+        "values that say of themselves that there is none, taken as missing: an infinite number, a"
+        " code for it on CAN, what a register map calls missing, an empty cell of a file"
+    ),
     "unstamped": "OPC UA values without a source time stamp, dropped",
     "late_values": (
         "OPC UA and Sparkplug values that came after their sample had been handed on, dropped"

@@ -35,6 +35,8 @@ PATIENCE = 60.0
 SAY_WHY = "write it, or say in `lacks` why the protocol has no such thing"
 WRONG = 7777.7
 """What stands in a value that must not be believed: no sample has it."""
+NO_VALUE = 65535
+"""A raw number that says that there is no value."""
 _SET_BACK = -3600.0
 """[s] By which a device's clock is wrong after it began anew."""
 
@@ -108,6 +110,10 @@ class Rig(ABC):
 
     def put_wrong_type(self, k):
         """Send a sample of which u is not of the type that it should be."""
+        raise NotImplementedError(SAY_WHY)
+
+    def put_no_value(self, k):
+        """Send a sample of which u says itself that there is no value: a code for it, or an infinite number."""
         raise NotImplementedError(SAY_WHY)
 
     def begin_anew(self):
@@ -204,6 +210,7 @@ class CanRig(Rig):
         "gap": {"lost"},
         "repeat": {"duplicated"},
         "late": {"reordered"},
+        "no value": {"no_value"},
         "bad": {"undecodable"},
         "anew": {"counter_jumps"},
         "cut": {"bus_errors", "reconnects"},
@@ -215,6 +222,7 @@ class CanRig(Rig):
             'VERSION ""\nBS_:\nBU_: A\nBO_ 256 machine: 5 A\n SG_ u : 0|16@1+ (0.5,0) [0|0] "V" A\n'
             ' SG_ y : 16|16@1- (0.25,100) [0|0] "m" A\n SG_ counter : 32|8@1+ (1,0) [0|255] "" A\n'
             f'BA_DEF_ BO_ "SampleTime" FLOAT 0 1000;\nBA_ "SampleTime" BO_ 256 {self.sample_time};\n'
+            f'VAL_ 256 u {NO_VALUE} "not available";\n'
         )
 
     def begin(self):
@@ -232,6 +240,12 @@ class CanRig(Rig):
 
     def put_bad(self, k):
         self.bus.send(256, b"123")  # too short
+
+    def put_no_value(self, k):
+        layout = read_dbc(self.folder / "map")["machine"]
+        self.bus.send_many(
+            256, layout.encode([(k - self.first) % 256], truth(k) | {"u": 0.5 * NO_VALUE})
+        )
 
     def begin_anew(self):
         self.first = self.next + 128  # half a turn away: neither losses nor repetitions explain it
@@ -274,12 +288,13 @@ class ModbusRig(Rig):
 
     def channels(self):
         return {
-            "u": {"register": 0, "type": "uint16", "scale": 0.5, "unit": "V"},
+            "u": {"register": 0, "type": "uint16", "scale": 0.5, "unit": "V", "missing": NO_VALUE},
             "y": {"register": 1, "type": "int16", "scale": 0.25, "offset": 100.0, "unit": "m"},
         }
 
-    def registers(self, k):
-        return self.stream.encode({name: [value] for name, value in truth(k).items()})
+    def registers(self, k, u=None):
+        values = truth(k) if u is None else truth(k) | {"u": u}
+        return self.stream.encode({name: [value] for name, value in values.items()})
 
 
 class PagedModbusRig(ModbusRig):
@@ -289,6 +304,7 @@ class PagedModbusRig(ModbusRig):
     counts: ClassVar = {
         "gap": {"lost"},
         "repeat": {"late_replies", "reconnects"},
+        "no value": {"no_value"},
         "bad": {"corrupt_replies"},
         "anew": {"counter_jumps"},
         "cut": {"bus_errors", "reconnects"},
@@ -345,6 +361,11 @@ class PagedModbusRig(ModbusRig):
         wait(lambda: "corrupt_replies" in self.counted())
         self._write(k, self.registers(k))
 
+    def put_no_value(self, k):
+        self._write(k, self.registers(k, u=math.nan))
+        self.made = k + 1
+        self.device.memory[0:2] = (0, self.made - self.first)
+
     def begin_anew(self):
         self.first = self.made = self.next
         self.device.memory[0:2] = 0
@@ -361,6 +382,7 @@ class PolledModbusRig(ModbusRig):
     counts: ClassVar = {
         "gap": {"timeouts", "reconnects", "lost"},
         "repeat": {"late_replies", "reconnects"},
+        "no value": {"no_value"},
         "bad": {"modbus_exceptions"},
         "cut": {"bus_errors", "reconnects"},
         "nowhere": {"bus_errors"},
@@ -391,6 +413,10 @@ class PolledModbusRig(ModbusRig):
     def put_bad(self, k):
         self.device.faults = iter(["exception"])
         self.put([k])
+
+    def put_no_value(self, k):
+        self.device.memory[40:42] = self.registers(k, u=math.nan)
+        wait(lambda: "no_value" in self.counted())
 
 
 class StampedRig(Rig):
@@ -502,6 +528,7 @@ class OpcuaRig(StampedRig):
     counts: ClassVar = {
         "gap": {"lost"},
         "repeat": {"reconnects"},
+        "no value": {"no_value"},
         "bad": {"bad_status"},
         "wrong type": {"bad_status"},
         "anew": {"counter_jumps"},
@@ -568,6 +595,9 @@ class OpcuaRig(StampedRig):
     def put_wrong_type(self, k):
         self._write_other(k, f"{WRONG}")
 
+    def put_no_value(self, k):
+        self._write_other(k, math.inf)
+
     def begin_anew(self):
         self.set_back()
 
@@ -609,6 +639,7 @@ class SparkplugRig(StampedRig):
     counts: ClassVar = {
         "gap": {"lost"},
         "repeat": {"duplicated"},
+        "no value": {"no_value"},
         "bad": {"bad_status"},
         "wrong type": {"bad_status"},
         "anew": {"counter_jumps"},
@@ -669,6 +700,9 @@ class SparkplugRig(StampedRig):
 
     def put_wrong_type(self, k):
         self._write(k, self.raw(k) | {"u": f"{WRONG}"})
+
+    def put_no_value(self, k):
+        self._write(k, self.raw(k) | {"u": math.inf})
 
     def begin_anew(self):
         self.node.stop()

@@ -190,12 +190,13 @@ def test_what_comes_late_fills_its_hole(make_rig):
     assert "lost" not in {name for name, times in rig.counted().items() if times > 0}
 
 
-@pytest.mark.parametrize("step", ["bad", "wrong type"])
+@pytest.mark.parametrize("step", ["bad", "wrong type", "no value"])
 def test_what_is_no_value_is_never_a_number(make_rig, step):
     rig = make_rig(step)
     rig.start()
     before = rig.counted()
-    (rig.put_bad if step == "bad" else rig.put_wrong_type)(rig.next)
+    put = {"bad": rig.put_bad, "wrong type": rig.put_wrong_type, "no value": rig.put_no_value}
+    put[step](rig.next)
     rig.next += 1
     rig.flow()
     wait_counted(rig, step)

@@ -187,6 +187,7 @@ class CanSource(Source):
         since = now - self._last_seen.get(layout.bus_id, now)
         self._last_seen[layout.bus_id] = now
         counter, channels = layout.decode(frames)
+        self.count_no_value(layout.codes(frames))
         rate = 1.0 / (layout.sample_time * layout.samples)
         # a reader that was held up is no silence where the counter tells how many came
         counted = layout.counter_bits > 0

@@ -46,6 +46,9 @@ class NoValueCodes:
             for first, last in [*_reserved(signal, j1939, extended), *_named(signal)]
         ]
 
+    def __bool__(self) -> bool:
+        return bool(self._spans)
+
     def marked(self, raw: npt.NDArray[np.uint64]) -> npt.NDArray[np.bool_]:
         """Where a raw number, shape (n, signals), is one of them."""
         is_code = np.zeros(raw.shape, bool)

@@ -318,6 +318,8 @@ class FrameLayout:
 
     def codes(self, frames: Bytes) -> dict[str, int]:
         """How many samples of each channel are codes for no value, of those that have some."""
+        if not self._codes:  # most messages: nothing to look for, frame by frame, on a fast bus
+            return {}
         raw = self._bits.raw(frames)
         is_code = self._codes.marked(raw) & self._multiplexing.carried(self._bits.values(raw))
         many = {name: int(is_code[:, members].sum()) for name, members in self._channels.items()}
