@@ -33,7 +33,7 @@ from residuum.service.machines.adding import (
     named,
     stored_model,
     with_kept_passwords,
-    with_map_files,
+    with_server_files,
 )
 from residuum.service.machines.baselines import (
     MOST,
@@ -62,10 +62,10 @@ _OF_TABLE = ({"kind": ["table"]},)
 class BusText(BaseModel, extra="forbid"):
     """A description of a bus, as text."""
 
-    kind: Literal["dbc", "table", "registers", "nodes", "metrics"] = Field(
+    kind: Literal["dbc", "table", "registers", "nodes", "metrics", "columns"] = Field(
         description=(
-            "A DBC file, a table of registers, or a map of registers, of OPC UA's nodes or of"
-            " Sparkplug's metrics."
+            "A DBC file, a table of registers, or a map of registers, of OPC UA's nodes, of"
+            " Sparkplug's metrics or of a growing file's columns."
         ),
         json_schema_extra={"x-of-source": dict(OF_SOURCE)},
     )
@@ -180,7 +180,7 @@ async def put_machine(
     # Maps of an earlier setting that no source names any more are not kept.
     maps = {name: text for name, text in {**before, **asked.maps}.items() if name in names}
     # Sources read maps as files; what is kept are their texts, which a restart writes anew.
-    with_files = await run_in_threadpool(with_map_files, settings, maps, running.settings.data)
+    with_files = await run_in_threadpool(with_server_files, settings, maps, running.settings)
     await running.pipeline.put_machine(with_files)
     # Kept when it is watched: what the pipeline refuses is not tried again at the next start.
     await run_in_threadpool(keep_machine, running.store, settings, maps, caller_of(request).name)

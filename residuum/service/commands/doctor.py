@@ -28,6 +28,7 @@ from residuum.service.fieldbus import SOURCES
 from residuum.service.fieldbus.can.can_bus import open_bus
 from residuum.service.fieldbus.can.can_source import streamed
 from residuum.service.fieldbus.can.frame_layout import read_dbc
+from residuum.service.fieldbus.growing_file import header_of, path_of, read_column_map
 from residuum.service.fieldbus.modbus.device_reading import read_device
 from residuum.service.fieldbus.modbus.register_map import read_register_map
 from residuum.service.fieldbus.opcua.node_map import read_node_map
@@ -399,6 +400,14 @@ def _opcua(source: SourceSettings) -> str:
     return f"{address} accepts connections; {source.map} has {streams} streams"
 
 
+def _growing_file(source: SourceSettings) -> tuple[str, str]:
+    """Whether the file is there, with the columns of the map; whether it grows, the service tells."""
+    columns, path = read_column_map(source.map_file), path_of(source.channel)
+    heads = header_of(path, columns)
+    says = f"{path} can be read; {source.map} streams {', '.join(columns.streams)}"
+    return says, "" if heads else "it has no header yet"
+
+
 def _modbus(source: SourceSettings) -> str | tuple[str, str]:
     """Read the device once by its map."""
     registers = read_register_map(source.map_file)
@@ -433,6 +442,7 @@ BUSES: dict[str, Callable[[SourceSettings], str | tuple[str, str]]] = {
     "modbus": _modbus,
     "opcua": _opcua,
     "sparkplug": _sparkplug,
+    "file": _growing_file,
 }
 """Kind of a source → what is looked at; a kind that is not here tells its streams."""
 

@@ -108,6 +108,10 @@ def _sources(machine: MachineSettings | None) -> list[str]:
             '      # - {kind: sparkplug, channel: "mqtt://192.168.0.11", map: metrics.yaml}   #'
             " map: `residuum sparkplug browse`"
         ),
+        (
+            '      # - {kind: file, channel: "file:/var/log/my-machine.csv", map: columns.yaml}   #'
+            " rows that a logger adds"
+        ),
     ]
 
 

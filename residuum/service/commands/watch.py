@@ -21,6 +21,7 @@ from residuum.service.commands.report import AsJson, progress, report
 from residuum.service.commands.running_service import HERE, ServiceUrl, answered, ask
 from residuum.service.commands.settings_template import SettingsFile, settings_template
 from residuum.service.fieldbus import SOURCES
+from residuum.service.fieldbus.growing_file import SCHEME
 from residuum.service.fieldbus.modbus.register_map import read_register_map
 from residuum.service.fieldbus.modbus.register_table import register_map_of, register_map_text
 from residuum.service.fieldbus.settings import MachineSettings, SourceSettings, WindowSettings
@@ -48,13 +49,17 @@ def init(
         str | None,
         typer.Option(help="Broker of a Sparkplug B node, for example mqtt://192.168.0.11."),
     ] = None,
+    file: Annotated[
+        str | None,
+        typer.Option(help="File that a logger adds rows to, for example /var/log/machine.csv."),
+    ] = None,
     bus_map: Annotated[
         str | None,
         typer.Option(
             "--map",
             help=(
-                "DBC file (CAN), register map (Modbus), node map (OPC UA) or metric map"
-                " (Sparkplug)."
+                "DBC file (CAN), register map (Modbus), node map (OPC UA), metric map (Sparkplug)"
+                " or column map (file)."
             ),
         ),
     ] = None,
@@ -70,9 +75,8 @@ def init(
     if out.exists():
         raise BadInput(f"--out {out}: is there already; choose another name or remove it")
     check_output_file(out)
-    machine = _machine(
-        asset, {"can": can, "modbus": modbus, "opcua": opcua, "sparkplug": sparkplug}, bus_map
-    )
+    told = {"can": can, "modbus": modbus, "opcua": opcua, "sparkplug": sparkplug, "file": file}
+    machine = _machine(asset, told, bus_map)
     signals = {} if machine is None else bus_signals(machine)
     channels = guessed_channels(load_model(model), signals) if model and signals else {}
     out.write_text(settings_template(asset, machine, signals, model, channels), encoding="utf-8")
@@ -252,8 +256,8 @@ def _machine(
             " browse a metric map"
         )
         raise BadInput(
-            "--map: is missing; a source needs its DBC file, register map, node map or metric map"
-            f" ({makers})"
+            "--map: is missing; a source needs its DBC file, register map, node map, metric map or"
+            f" column map ({makers})"
         )
     try:
         return MachineSettings(
@@ -275,6 +279,8 @@ def _source(kind: str, where: str, bus_map: str) -> SourceSettings:
     if kind == "modbus":
         host, _, port = where.rpartition(":")
         given = {"host": host or "127.0.0.1", "port": int(port)}
+    if kind == "file":
+        given = {"channel": where if where.startswith(SCHEME) else f"{SCHEME}{where}"}
     return SourceSettings.model_validate({"kind": kind, "map": bus_map, **given})
 
 

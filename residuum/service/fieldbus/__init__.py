@@ -1,4 +1,4 @@
-"""Sources of measured signals: CAN, Modbus, OPC UA, Sparkplug B over MQTT.
+"""Sources of measured signals: CAN, Modbus, OPC UA, Sparkplug B over MQTT, growing files.
 
 A new kind of source is one file with a `Source` and one line in `SOURCES`; settings, the HTTP
 interface and `tests/service/fieldbus/test_source_conformance.py` take the kinds from there.
@@ -13,6 +13,7 @@ from typing import Protocol
 
 from residuum.service.fieldbus.can.can_source import CanSource
 from residuum.service.fieldbus.can.frame_layout import BadBusDescription, read_dbc
+from residuum.service.fieldbus.growing_file import growing_file_source, read_column_map
 from residuum.service.fieldbus.modbus.modbus_source import ModbusSource
 from residuum.service.fieldbus.modbus.register_map import read_register_map
 from residuum.service.fieldbus.opcua.node_map import read_node_map
@@ -77,5 +78,8 @@ SOURCES: dict[str, Open] = {
     ),
     "opcua": _opcua,
     "sparkplug": _sparkplug,
+    "file": lambda settings, sink: growing_file_source(
+        settings.channel, read_column_map(settings.map_file), sink
+    ),
 }
 """Kind of source → how to open it."""

@@ -11,12 +11,19 @@ from residuum.library.questions import field
 from residuum.service.alarms.alarm_states import AlarmRule
 from residuum.service.broker import broker_address
 from residuum.service.fieldbus import SOURCES
+from residuum.service.fieldbus.growing_file import path_of
 from residuum.service.fieldbus.strict_model import StrictModel
 
 MAPS = Path(__file__).parent / "maps"
 
 
-_CALLED = {"can": "CAN bus", "modbus": "Modbus TCP", "opcua": "OPC UA", "sparkplug": "Sparkplug B"}
+_CALLED = {
+    "can": "CAN bus",
+    "modbus": "Modbus TCP",
+    "opcua": "OPC UA",
+    "sparkplug": "Sparkplug B",
+    "file": "growing file",
+}
 KINDS = {kind: _CALLED.get(kind, kind) for kind in SOURCES}
 """Kind of a source → how people call it."""
 _OF_MODBUS = ({"kind": ["modbus"]},)
@@ -39,8 +46,9 @@ class SourceSettings(StrictModel):
     `can` needs `channel` (`socketcan:can0`, `udp_multicast:239.74.163.2:43113`, `virtual:bench`)
     and a DBC file; `modbus` needs `host`, `port` and a register map; `opcua` needs `channel`
     (`opc.tcp://host:4840`) and a node map; `sparkplug` needs `channel`
-    (`mqtt[s]://[user:password@]broker[:port]`) and a metric map. `map` is a file, or the name of
-    one that comes with Residuum.
+    (`mqtt[s]://[user:password@]broker[:port]`) and a metric map; `file` needs `channel`
+    (`file:/var/log/machine.csv`) and a column map. `map` is a file, or the name of one that comes
+    with Residuum.
     """
 
     kind: Kind = Field(json_schema_extra={"x-titles": dict(KINDS)})
@@ -48,7 +56,7 @@ class SourceSettings(StrictModel):
     channel: str = field(
         "",
         "Address of the bus: can socketcan:can0, opcua opc.tcp://host:4840, sparkplug"
-        " mqtt://broker:1883.",
+        " mqtt://broker:1883, file file:/var/log/machine.csv.",
         only_with=_OF_THE_OTHERS,
     )
     host: str = field("127.0.0.1", "Address of the device.", only_with=_OF_MODBUS)
@@ -64,6 +72,8 @@ class SourceSettings(StrictModel):
             )
         if self.kind == "sparkplug":
             broker_address(self.channel)  # raises where it is none
+        if self.kind == "file":
+            path_of(self.channel)  # raises where it is none
         return self
 
     @property

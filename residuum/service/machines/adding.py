@@ -23,6 +23,7 @@ from residuum.service.alarms.alarm_states import AlarmRule
 from residuum.service.broker import is_hidden, with_hidden_password
 from residuum.service.fieldbus.can.can_source import streamed
 from residuum.service.fieldbus.can.frame_layout import read_dbc
+from residuum.service.fieldbus.growing_file import channel_below, read_column_map
 from residuum.service.fieldbus.modbus.register_map import read_register_map
 from residuum.service.fieldbus.modbus.register_table import register_map_of, register_map_text
 from residuum.service.fieldbus.opcua.node_map import read_node_map
@@ -48,12 +49,14 @@ OF_SOURCE = {
     "registers": "modbus",
     "nodes": "opcua",
     "metrics": "sparkplug",
+    "columns": "file",
 }
 """Kind of a bus description → kind of the sources that are read by it."""
 _MAPS: Mapping[str, Callable[[Path], Any]] = {
     "registers": read_register_map,
     "nodes": read_node_map,
     "metrics": read_metric_map,
+    "columns": read_column_map,
 }
 
 
@@ -84,7 +87,7 @@ def bus_description(
     kind: str, name: str, text: str, sample_time: float = 0.1, unit_id: int = 1
 ) -> BusDescription:
     """Understand a description: `dbc`, `table` (made into a register map), or a map in YAML:
-    `registers`, `nodes`, `metrics`.
+    `registers`, `nodes`, `metrics`, `columns`.
 
     BadBusDescription when it cannot be read, or carries no stream of samples.
     """
@@ -244,7 +247,7 @@ def kept_maps(store: DiskStore, asset: str) -> Mapping[str, str]:
     return dict((kept_document(store, f"{asset}.{KIND}") or {}).get("maps", {}))
 
 
-def kept_machines(store: DiskStore, data: Path) -> Sequence[MachineSettings]:
+def kept_machines(store: DiskStore, settings: Settings) -> Sequence[MachineSettings]:
     """All machines that are kept, their bus descriptions as files below the data folder."""
     machines: list[MachineSettings] = []
     cursor = None
@@ -258,8 +261,8 @@ def kept_machines(store: DiskStore, data: Path) -> Sequence[MachineSettings]:
                 document = orjson.loads(store.model_content(version.model))
                 if document["machine"] is not None:
                     machines.append(
-                        with_map_files(
-                            MachineSettings(**document["machine"]), document["maps"], data
+                        with_server_files(
+                            MachineSettings(**document["machine"]), document["maps"], settings
                         )
                     )
             except (
@@ -277,18 +280,33 @@ def kept_machines(store: DiskStore, data: Path) -> Sequence[MachineSettings]:
             return machines
 
 
-def with_map_files(
-    machine: MachineSettings, maps: Mapping[str, str], data: Path
+def with_server_files(
+    machine: MachineSettings, maps: Mapping[str, str], settings: Settings
 ) -> MachineSettings:
-    """The settings with the files that hold the bus descriptions in place of their names.
+    """The settings with the files of this computer in place of what names them: those that hold the
+    bus descriptions, and growing files.
 
-    BadInput for a name that is neither among `maps` nor one that comes with Residuum: other files
-    of this computer are not read for who adds a machine.
+    BadInput for the name of a map that is neither among `maps` nor one that comes with Residuum,
+    and for a growing file that is not below the folder that the settings say: other files of this
+    computer are not read for who adds a machine.
     """
     sources = [
-        {**source.model_dump(), "map": _file(source.map, maps, data)} for source in machine.sources
+        {
+            **source.model_dump(),
+            "map": _file(source.map, maps, settings.data),
+            "channel": _channel(source, settings),
+        }
+        for source in machine.sources
     ]
     return MachineSettings(**{**machine.model_dump(), "sources": sources})
+
+
+def _channel(source: SourceSettings, settings: Settings) -> str:
+    return (
+        channel_below(source.channel, settings.growing_files)
+        if source.kind == "file"
+        else source.channel
+    )
 
 
 def _file(name: str, maps: Mapping[str, Any], data: Path) -> str:
@@ -351,7 +369,7 @@ def known_dbc(settings: Settings, store: DiskStore, name: str) -> Path:
     """The DBC file of this name; BadInput names those that are known. No other file of the computer
     can be asked for.
     """
-    machines = [*settings.machines, *kept_machines(store, settings.data)]
+    machines = [*settings.machines, *kept_machines(store, settings)]
     files = [
         source.map_file
         for machine in machines

@@ -721,5 +721,72 @@ class SparkplugRig(StampedRig):
         self.node.stop()
 
 
-RIGS = (CanRig, PagedModbusRig, PolledModbusRig, OpcuaRig, SparkplugRig)
+class GrowingFileRig(StampedRig):
+    """A logger that adds rows to its text file."""
+
+    kind = "file"
+    lacks: ClassVar = {
+        "late": "rows stand in the order in which they were written: a step back is a clock that was set"
+    }
+    counts: ClassVar = {
+        "gap": {"lost"},
+        "repeat": {"duplicated"},
+        "no value": {"no_value"},
+        "bad": {"undecodable"},
+        "wrong type": {"bad_status"},
+        "anew": {"counter_jumps"},
+        "cut": {"bus_errors", "reconnects"},
+        "nowhere": {"bus_errors"},
+    }
+
+    def map_text(self):
+        stream = {
+            "sample_time": self.sample_time,
+            "time": {"column": "at", "form": "epoch s"},
+            "channels": self.scaled("column", {"u": "u raw", "y": "y raw"}),
+        }
+        return yaml.safe_dump({"delimiter": ";", "streams": {"machine": stream}})
+
+    def begin(self):
+        self.file = self.folder / "log.csv"
+        self.restore()
+        return {"channel": f"file:{self.file}"}
+
+    def nowhere(self):
+        return {"channel": f"file:{self.folder}/no-such-folder/log.csv"}
+
+    def add(self, text):
+        if self.file.exists():
+            with self.file.open("a") as file:
+                file.write(text)
+
+    def row(self, k, **others):
+        values = self.raw(k) | others
+        return f"{self.stamp(k):.6f};{values['y']};a word;{values['u']}\n"
+
+    def put(self, numbers):
+        self.add("".join(map(self.row, numbers)))
+
+    def put_bad(self, k):
+        self.add(f"{self.stamp(k):.6f};{WRONG}\n")  # too few cells
+        self.put([k])
+
+    def put_wrong_type(self, k):
+        self.add(self.row(k, u=f"{WRONG} or so"))
+
+    def put_no_value(self, k):
+        self.add(self.row(k, u=""))
+
+    def begin_anew(self):
+        self.set_back()
+
+    def cut(self):
+        self.file.unlink()
+
+    def restore(self):
+        self.file.write_text("# of a rig\nat;y raw;note;u raw\n")
+        self.catch_up()
+
+
+RIGS = (CanRig, PagedModbusRig, PolledModbusRig, OpcuaRig, SparkplugRig, GrowingFileRig)
 """A device of every kind of source, some of two."""
