@@ -62,10 +62,10 @@ _OF_TABLE = ({"kind": ["table"]},)
 class BusText(BaseModel, extra="forbid"):
     """A description of a bus, as text."""
 
-    kind: Literal["dbc", "table", "registers", "nodes", "metrics", "columns"] = Field(
+    kind: Literal["dbc", "table", "registers", "nodes", "metrics", "topics", "columns"] = Field(
         description=(
             "A DBC file, a table of registers, or a map of registers, of OPC UA's nodes, of"
-            " Sparkplug's metrics or of a growing file's columns."
+            " Sparkplug's metrics, of JSON messages' topics or of a growing file's columns."
         ),
         json_schema_extra={"x-of-source": dict(OF_SOURCE)},
     )

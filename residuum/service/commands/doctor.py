@@ -31,6 +31,7 @@ from residuum.service.fieldbus.can.frame_layout import read_dbc
 from residuum.service.fieldbus.growing_file import header_of, path_of, read_column_map
 from residuum.service.fieldbus.modbus.device_reading import read_device
 from residuum.service.fieldbus.modbus.register_map import read_register_map
+from residuum.service.fieldbus.mqtt.topic_map import read_topic_map
 from residuum.service.fieldbus.opcua.node_map import read_node_map
 from residuum.service.fieldbus.settings import MachineSettings, SourceSettings
 from residuum.service.fieldbus.sparkplug.metric_map import read_metric_map
@@ -387,6 +388,17 @@ def _sparkplug(source: SourceSettings) -> str:
     )
 
 
+def _mqtt(source: SourceSettings) -> str:
+    """A connection alone: whether messages come shows when the service reads them."""
+    topics = read_topic_map(source.map_file)
+    broker = topics.entered(source.channel)
+    _let_in(broker)
+    return (
+        f"{broker.host}:{broker.port} lets us in; {source.map} has {len(topics.streams)}"
+        f" streams of {', '.join(topics.topics)}"
+    )
+
+
 def _opcua(source: SourceSettings) -> str:
     """A connection alone: whether the nodes are there shows when the service reads them."""
     streams = len(read_node_map(source.map_file).streams)
@@ -442,6 +454,7 @@ BUSES: dict[str, Callable[[SourceSettings], str | tuple[str, str]]] = {
     "modbus": _modbus,
     "opcua": _opcua,
     "sparkplug": _sparkplug,
+    "mqtt": _mqtt,
     "file": _growing_file,
 }
 """Kind of a source → what is looked at; a kind that is not here tells its streams."""

@@ -109,6 +109,10 @@ def _sources(machine: MachineSettings | None) -> list[str]:
             " map: `residuum sparkplug browse`"
         ),
         (
+            '      # - {kind: mqtt, channel: "mqtt://192.168.0.11", map: topics.yaml}   #'
+            " JSON messages; docs: read JSON over MQTT"
+        ),
+        (
             '      # - {kind: file, channel: "file:/var/log/my-machine.csv", map: columns.yaml}   #'
             " rows that a logger adds"
         ),

@@ -49,6 +49,10 @@ def init(
         str | None,
         typer.Option(help="Broker of a Sparkplug B node, for example mqtt://192.168.0.11."),
     ] = None,
+    mqtt: Annotated[
+        str | None,
+        typer.Option(help="Broker of JSON messages, for example mqtt://192.168.0.11."),
+    ] = None,
     file: Annotated[
         str | None,
         typer.Option(help="File that a logger adds rows to, for example /var/log/machine.csv."),
@@ -58,8 +62,8 @@ def init(
         typer.Option(
             "--map",
             help=(
-                "DBC file (CAN), register map (Modbus), node map (OPC UA), metric map (Sparkplug)"
-                " or column map (file)."
+                "DBC file (CAN), register map (Modbus), node map (OPC UA), metric map (Sparkplug),"
+                " topic map (MQTT) or column map (file)."
             ),
         ),
     ] = None,
@@ -75,7 +79,8 @@ def init(
     if out.exists():
         raise BadInput(f"--out {out}: is there already; choose another name or remove it")
     check_output_file(out)
-    told = {"can": can, "modbus": modbus, "opcua": opcua, "sparkplug": sparkplug, "file": file}
+    told = {"can": can, "modbus": modbus, "opcua": opcua, "sparkplug": sparkplug}
+    told |= {"mqtt": mqtt, "file": file}
     machine = _machine(asset, told, bus_map)
     signals = {} if machine is None else bus_signals(machine)
     channels = guessed_channels(load_model(model), signals) if model and signals else {}
@@ -256,8 +261,8 @@ def _machine(
             " browse a metric map"
         )
         raise BadInput(
-            "--map: is missing; a source needs its DBC file, register map, node map, metric map or"
-            f" column map ({makers})"
+            "--map: is missing; a source needs its DBC file, register map, node map, metric map,"
+            f" topic map or column map ({makers})"
         )
     try:
         return MachineSettings(

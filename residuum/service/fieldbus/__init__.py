@@ -1,4 +1,5 @@
-"""Sources of measured signals: CAN, Modbus, OPC UA, Sparkplug B over MQTT, growing files.
+"""Sources of measured signals: CAN, Modbus, OPC UA, Sparkplug B and JSON over MQTT, growing
+files.
 
 A new kind of source is one file with a `Source` and one line in `SOURCES`; settings, the HTTP
 interface and `tests/service/fieldbus/test_source_conformance.py` take the kinds from there.
@@ -16,6 +17,7 @@ from residuum.service.fieldbus.can.frame_layout import BadBusDescription, read_d
 from residuum.service.fieldbus.growing_file import growing_file_source, read_column_map
 from residuum.service.fieldbus.modbus.modbus_source import ModbusSource
 from residuum.service.fieldbus.modbus.register_map import read_register_map
+from residuum.service.fieldbus.mqtt.topic_map import read_topic_map
 from residuum.service.fieldbus.opcua.node_map import read_node_map
 from residuum.service.fieldbus.source import Sink, Source
 from residuum.service.fieldbus.sparkplug.metric_map import read_metric_map
@@ -71,6 +73,19 @@ def _sparkplug(settings: Address, sink: Sink) -> Source:
     return source
 
 
+def _mqtt(settings: Address, sink: Sink) -> Source:
+    """Imported when it is opened: the library is an extra."""
+    topics = read_topic_map(settings.map_file)
+    try:
+        module = import_module("residuum.service.fieldbus.mqtt.mqtt_source")
+    except ModuleNotFoundError:
+        raise BadBusDescription(
+            "an MQTT source needs the extra `mqtt`: pip install 'residuum[mqtt]'"
+        ) from None
+    source: Source = module.MqttSource(topics.entered(settings.channel), topics, sink)
+    return source
+
+
 SOURCES: dict[str, Open] = {
     "can": lambda settings, sink: CanSource(settings.channel, read_dbc(settings.map_file), sink),
     "modbus": lambda settings, sink: ModbusSource(
@@ -78,6 +93,7 @@ SOURCES: dict[str, Open] = {
     ),
     "opcua": _opcua,
     "sparkplug": _sparkplug,
+    "mqtt": _mqtt,
     "file": lambda settings, sink: growing_file_source(
         settings.channel, read_column_map(settings.map_file), sink
     ),

@@ -22,6 +22,7 @@ _CALLED = {
     "modbus": "Modbus TCP",
     "opcua": "OPC UA",
     "sparkplug": "Sparkplug B",
+    "mqtt": "JSON over MQTT",
     "file": "growing file",
 }
 KINDS = {kind: _CALLED.get(kind, kind) for kind in SOURCES}
@@ -46,7 +47,8 @@ class SourceSettings(StrictModel):
     `can` needs `channel` (`socketcan:can0`, `udp_multicast:239.74.163.2:43113`, `virtual:bench`)
     and a DBC file; `modbus` needs `host`, `port` and a register map; `opcua` needs `channel`
     (`opc.tcp://host:4840`) and a node map; `sparkplug` needs `channel`
-    (`mqtt[s]://[user:password@]broker[:port]`) and a metric map; `file` needs `channel`
+    (`mqtt[s]://[user:password@]broker[:port]`) and a metric map; `mqtt` the same and a topic map;
+    `file` needs `channel`
     (`file:/var/log/machine.csv`) and a column map. `map` is a file, or the name of one that comes
     with Residuum.
     """
@@ -56,7 +58,7 @@ class SourceSettings(StrictModel):
     channel: str = field(
         "",
         "Address of the bus: can socketcan:can0, opcua opc.tcp://host:4840, sparkplug"
-        " mqtt://broker:1883, file file:/var/log/machine.csv.",
+        " and mqtt mqtt://broker:1883, file file:/var/log/machine.csv.",
         only_with=_OF_THE_OTHERS,
     )
     host: str = field("127.0.0.1", "Address of the device.", only_with=_OF_MODBUS)
@@ -70,7 +72,7 @@ class SourceSettings(StrictModel):
             raise ValueError(
                 "an OPC UA source needs a channel, for example opc.tcp://192.168.0.10:4840"
             )
-        if self.kind == "sparkplug":
+        if self.kind in ("sparkplug", "mqtt"):
             broker_address(self.channel)  # raises where it is none
         if self.kind == "file":
             path_of(self.channel)  # raises where it is none

@@ -26,6 +26,7 @@ from residuum.service.fieldbus.can.frame_layout import read_dbc
 from residuum.service.fieldbus.growing_file import channel_below, read_column_map
 from residuum.service.fieldbus.modbus.register_map import read_register_map
 from residuum.service.fieldbus.modbus.register_table import register_map_of, register_map_text
+from residuum.service.fieldbus.mqtt.topic_map import read_topic_map
 from residuum.service.fieldbus.opcua.node_map import read_node_map
 from residuum.service.fieldbus.settings import (
     MAPS,
@@ -49,6 +50,7 @@ OF_SOURCE = {
     "registers": "modbus",
     "nodes": "opcua",
     "metrics": "sparkplug",
+    "topics": "mqtt",
     "columns": "file",
 }
 """Kind of a bus description → kind of the sources that are read by it."""
@@ -56,6 +58,7 @@ _MAPS: Mapping[str, Callable[[Path], Any]] = {
     "registers": read_register_map,
     "nodes": read_node_map,
     "metrics": read_metric_map,
+    "topics": read_topic_map,
     "columns": read_column_map,
 }
 
@@ -87,7 +90,8 @@ def bus_description(
     kind: str, name: str, text: str, sample_time: float = 0.1, unit_id: int = 1
 ) -> BusDescription:
     """Understand a description: `dbc`, `table` (made into a register map), or a map in YAML:
-    `registers`, `nodes`, `metrics`, `columns`.
+    `registers`, `nodes`, `metrics`, `topics`,
+    `columns`.
 
     BadBusDescription when it cannot be read, or carries no stream of samples.
     """

@@ -6,6 +6,7 @@ when the device begins anew and when nobody can reach it; what its protocol does
 
 import asyncio
 import gc
+import json
 import math
 import threading
 import time
@@ -721,6 +722,89 @@ class SparkplugRig(StampedRig):
         self.node.stop()
 
 
+class MqttRig(StampedRig):
+    """A device that publishes JSON messages, over a real broker."""
+
+    kind = "mqtt"
+    lacks: ClassVar = {}
+    counts: ClassVar = {
+        "gap": {"lost"},
+        "repeat": {"duplicated"},
+        "no value": {"no_value"},
+        "bad": {"undecodable"},
+        "wrong type": {"bad_status"},
+        "anew": {"counter_jumps"},
+        "cut": {"bus_errors", "reconnects"},
+        "nowhere": {"bus_errors"},
+    }
+
+    def map_text(self):
+        channels = self.scaled("path", {name: f"/values/0/{name}" for name in UNITS})
+        stream = {
+            "sample_time": self.sample_time,
+            "topic": "rig/+",
+            "time": {"path": "at", "form": "ms"},
+            "channels": channels,
+        }
+        return yaml.safe_dump({"streams": {"machine": stream}})
+
+    def begin(self):
+        reason = "the extra 'mqtt' is not installed: JSON over MQTT was not tried"
+        pytest.importorskip("paho.mqtt.client", reason=reason)
+        self.port = self.fixture("free_port")()
+        address = broker_address(f"mqtt://127.0.0.1:{self.port}")
+        self.client = address.client()
+        self.client.reconnect_delay_set(1, 1)
+        self.client.connect_async(address.host, address.port)
+        self.restore()
+        self.client.loop_start()
+        return {"channel": f"mqtt://127.0.0.1:{self.port}"}
+
+    def nowhere(self):
+        pytest.importorskip("paho.mqtt.client")
+        return {"channel": f"mqtt://127.0.0.1:{self.fixture('free_port')()}"}
+
+    def publish(self, k, values):
+        content = json.dumps({"at": 1e3 * self.stamp(k), "values": [values]})
+        self.client.publish("rig/data", content, qos=1)
+
+    def put(self, numbers):
+        for k in numbers:
+            self.publish(k, self.raw(k))
+
+    def put_late(self, numbers):
+        """Of a channel, values come in order; those of one channel may come behind those of another."""
+        for name in UNITS:
+            for k in numbers:
+                self.publish(k, {name: self.raw(k)[name]})
+
+    def put_bad(self, k):
+        content = f'{{"at": {1e3 * self.stamp(k)}, "values": [{{"u": {WRONG}'
+        self.client.publish("rig/data", content, qos=1)
+        self.put([k])
+
+    def put_wrong_type(self, k):
+        self.publish(k, self.raw(k) | {"u": f"{WRONG}"})
+
+    def put_no_value(self, k):
+        self.publish(k, self.raw(k) | {"u": None})
+
+    def begin_anew(self):
+        self.set_back()
+
+    def cut(self):
+        self.broker.terminate()
+        self.broker.wait(PATIENCE)
+
+    def restore(self):
+        self.broker = self.fixture("start_mosquitto")(self.port)
+        self.catch_up()
+
+    def close(self):
+        self.client.disconnect()
+        self.client.loop_stop()
+
+
 class GrowingFileRig(StampedRig):
     """A logger that adds rows to its text file."""
 
@@ -788,5 +872,5 @@ class GrowingFileRig(StampedRig):
         self.catch_up()
 
 
-RIGS = (CanRig, PagedModbusRig, PolledModbusRig, OpcuaRig, SparkplugRig, GrowingFileRig)
+RIGS = (CanRig, PagedModbusRig, PolledModbusRig, OpcuaRig, SparkplugRig, MqttRig, GrowingFileRig)
 """A device of every kind of source, some of two."""

@@ -29,9 +29,8 @@ HEAD = "day;clock;speed [rpm];force\n"
 
 def row(k, speed=None, force="0,5"):
     clock = f"{k // 3600:02}:{k // 60 % 60:02}:{k % 60:02}"
-    return f"28.11.2026;{clock};{k + 0.25 if speed is None else speed};{force}\n".replace(
-        ".2", ",2"
-    )
+    speed = f"{k},25" if speed is None else speed
+    return f"28.11.2026;{clock};{speed};{force}\n"
 
 
 class Bench:
