@@ -46,6 +46,7 @@ from residuum.nearest_names import known_names
 from residuum.service.fieldbus.can.frame_layout import BadBusDescription
 from residuum.service.fieldbus.map_text import read_map
 from residuum.service.fieldbus.source import Sink, Source, StreamFormat
+from residuum.service.fieldbus.source_kind import Address, SourceKind, text_of_map
 from residuum.service.fieldbus.stamped_samples import StampedSamples
 from residuum.service.fieldbus.strict_model import StrictModel
 
@@ -538,12 +539,24 @@ class GrowingFileSource(Source):
             self._samples.add(name, row.stamp, value, self._now)
 
 
-def growing_file_source(channel: str, columns: ColumnMap, sink: Sink) -> GrowingFileSource:
-    """The source at an address; BadBusDescription for one that is none."""
+def _open(source: Address, sink: Sink) -> GrowingFileSource:
+    columns = read_column_map(source.map_file)
     try:
-        return GrowingFileSource(path_of(channel), columns, sink)
+        return GrowingFileSource(path_of(source.channel), columns, sink)
     except ValueError as error:
-        raise BadBusDescription(f"{channel[:80]!r}: {error}") from None
+        raise BadBusDescription(f"{source.channel[:80]!r}: {error}") from None
+
+
+def _check(source: Address) -> None:
+    path_of(source.channel)
+
+
+def _look(source: Address, _seconds: float) -> tuple[str, str]:
+    """Whether the file is there, with the columns of the map; whether it grows, the service tells."""
+    columns, path = read_column_map(source.map_file), path_of(source.channel)
+    heads = header_of(path, columns)
+    says = f"{path} can be read; {source.map} streams {', '.join(columns.streams)}"
+    return says, "" if heads else "it has no header yet"
 
 
 def header_of(path: Path, columns: ColumnMap) -> Sequence[str]:
@@ -563,3 +576,21 @@ def header_of(path: Path, columns: ColumnMap) -> Sequence[str]:
     finally:
         file.close()
     return rows.heads
+
+
+FILE = SourceKind(
+    called="growing file",
+    open=_open,
+    map_called="column map (file)",
+    asked="File that a logger adds rows to, for example /var/log/machine.csv.",
+    example="file:/var/log/machine.csv",
+    texts={"columns": text_of_map("a map of a growing file's columns", read_column_map)},
+    check=_check,
+    look=_look,
+    reached=lambda where: {"channel": where if where.startswith(SCHEME) else f"{SCHEME}{where}"},
+    sent=channel_below,
+    template=(
+        '- {kind: file, channel: "file:/var/log/my-machine.csv", map: columns.yaml}  ',
+        "rows that a logger adds",
+    ),
+)
