@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import queue
 import re
 import ssl
 from pathlib import Path
@@ -120,6 +121,42 @@ def _host_of(url: str, parts: SplitResult) -> str:
     if parts.scheme not in _PORTS or not parts.hostname or no_topic:
         raise ValueError("must be mqtt://[user:password@]host[:port][/prefix], or mqtts:// for TLS")
     return parts.hostname
+
+
+# [s] For which an answer of a broker is waited for.
+_PATIENCE = 5.0
+
+
+def connected_client(address: BrokerAddress) -> Any:
+    """A client that the broker has let in, in a thread of its own; OSError when it does not."""
+    client = address.client()
+    answered: queue.Queue[Any] = queue.Queue()
+    client.on_connect = lambda _client, _data, _flags, reason, _properties: answered.put(reason)
+    try:
+        client.connect(address.host, address.port)
+        client.loop_start()
+        reason = answered.get(timeout=_PATIENCE)
+        if reason.is_failure:
+            raise ConnectionError(f"the broker refuses the connection: {reason}")
+    except queue.Empty:
+        client.loop_stop()
+        raise ConnectionError("the broker did not take the connection") from None
+    except (OSError, ValueError):
+        client.loop_stop()
+        raise
+    return client
+
+
+def try_connection(address: BrokerAddress) -> None:
+    """Connect, as whoever the address names, and leave again; OSError when the broker does not let
+    us in.
+    """
+    try:
+        client = connected_client(address)
+    except ValueError as error:
+        raise ConnectionError(str(error)) from error
+    client.disconnect()
+    client.loop_stop()
 
 
 # Addresses as they are shown: without the password of their user info.

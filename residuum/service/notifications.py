@@ -10,7 +10,6 @@ oldest go, and the log says how many.
 
 from __future__ import annotations
 
-import queue
 import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
@@ -24,7 +23,7 @@ import structlog
 from pydantic import ValidationError
 
 from residuum.identification.errors import BadInput
-from residuum.service.broker import BrokerAddress
+from residuum.service.broker import BrokerAddress, connected_client, try_connection
 from residuum.service.fieldbus.source import Backoff
 from residuum.service.receivers.receiver_settings import (
     PATIENCE,
@@ -310,29 +309,10 @@ class Broker:
         """Connect, as whoever the address names, and leave again; OSError when the broker does not
         let us in.
         """
-        try:
-            self._connect()
-            self._client.disconnect()
-        except ValueError as error:
-            raise ConnectionError(str(error)) from error
-        finally:
-            if self._client is not None:
-                self._client.loop_stop()
+        try_connection(self._address)
 
     def _connect(self) -> None:
         if self._client is not None:
             self._client.loop_stop()
         # a new client: what the broken one still holds was counted as not delivered
-        self._client = self._address.client()
-        answered: queue.Queue[Any] = queue.Queue()
-        self._client.on_connect = lambda _client, _data, _flags, reason, _properties: answered.put(
-            reason
-        )
-        self._client.connect(self._address.host, self._address.port)
-        self._client.loop_start()
-        try:
-            reason = answered.get(timeout=PATIENCE)
-        except queue.Empty:
-            raise ConnectionError("the broker did not take the connection") from None
-        if reason.is_failure:
-            raise ConnectionError(f"the broker refuses the connection: {reason}")
+        self._client = connected_client(self._address)

@@ -87,6 +87,13 @@ class Settings(BaseSettings):
     machines: list[MachineSettings] = Field(
         [], description="Machines to watch: sources, windows, diagnoser."
     )
+    growing_files: Path | None = Field(
+        None,
+        description=(
+            "Folder below which machines that are added over HTTP may read growing files; empty:"
+            " none."
+        ),
+    )
     api_keys: Path | None = Field(
         None, description="File of API keys, a line each: name role SHA-256-of-the-key."
     )

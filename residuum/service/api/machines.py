@@ -5,7 +5,7 @@ its baseline.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from fastapi import APIRouter, Path, Query, Request, Response
 from pydantic import BaseModel, Field, ValidationError
@@ -19,6 +19,7 @@ from residuum.service.api.parameters import NAME
 from residuum.service.api.responses import Json, StrictRoute, accepted
 from residuum.service.broker import with_hidden_password
 from residuum.service.machines.adding import (
+    DESCRIPTIONS,
     OF_SOURCE,
     ModelText,
     WatchedMachine,
@@ -33,7 +34,7 @@ from residuum.service.machines.adding import (
     named,
     stored_model,
     with_kept_passwords,
-    with_map_files,
+    with_server_files,
 )
 from residuum.service.machines.baselines import (
     MOST,
@@ -59,14 +60,17 @@ _MOST_RECORDS = 64
 _OF_TABLE = ({"kind": ["table"]},)
 
 
+if TYPE_CHECKING:
+    KindOfText = str
+else:  # mypy takes no names that are not written here; a new one is of a new kind of source
+    KindOfText = Literal[*OF_SOURCE]
+
+
 class BusText(BaseModel, extra="forbid"):
     """A description of a bus, as text."""
 
-    kind: Literal["dbc", "table", "registers", "nodes", "metrics"] = Field(
-        description=(
-            "A DBC file, a table of registers, or a map of registers, of OPC UA's nodes or of"
-            " Sparkplug's metrics."
-        ),
+    kind: KindOfText = Field(
+        description=DESCRIPTIONS[0].upper() + DESCRIPTIONS[1:],
         json_schema_extra={"x-of-source": dict(OF_SOURCE)},
     )
     # No `/` and no dot at the begin: a map of this name becomes a file for the sources that read
@@ -180,7 +184,7 @@ async def put_machine(
     # Maps of an earlier setting that no source names any more are not kept.
     maps = {name: text for name, text in {**before, **asked.maps}.items() if name in names}
     # Sources read maps as files; what is kept are their texts, which a restart writes anew.
-    with_files = await run_in_threadpool(with_map_files, settings, maps, running.settings.data)
+    with_files = await run_in_threadpool(with_server_files, settings, maps, running.settings)
     await running.pipeline.put_machine(with_files)
     # Kept when it is watched: what the pipeline refuses is not tried again at the next start.
     await run_in_threadpool(keep_machine, running.store, settings, maps, caller_of(request).name)

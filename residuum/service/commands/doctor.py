@@ -5,10 +5,8 @@ asked to sweep.
 from __future__ import annotations
 
 import shutil
-import socket
 import sys
 import tempfile
-import urllib.parse
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from functools import partial
@@ -19,22 +17,16 @@ import typer
 
 from residuum.code_folder import code_folder, why_not_kept
 from residuum.identification.errors import BadInput
-from residuum.service.broker import BrokerAddress
+from residuum.service.broker import BrokerAddress, try_connection
 from residuum.service.cli import ANSWER_IS_NO
 from residuum.service.commands.machine_checks import machine_check
 from residuum.service.commands.report import AsJson, report
 from residuum.service.commands.settings_template import DatabaseUrl, DataFolder, SettingsFile
 from residuum.service.fieldbus import SOURCES
-from residuum.service.fieldbus.can.can_bus import open_bus
-from residuum.service.fieldbus.can.can_source import streamed
-from residuum.service.fieldbus.can.frame_layout import read_dbc
-from residuum.service.fieldbus.modbus.device_reading import read_device
-from residuum.service.fieldbus.modbus.register_map import read_register_map
-from residuum.service.fieldbus.opcua.node_map import read_node_map
 from residuum.service.fieldbus.settings import MachineSettings, SourceSettings
-from residuum.service.fieldbus.sparkplug.metric_map import read_metric_map
+from residuum.service.fieldbus.source_kind import Told, Wrong, streams_alone
 from residuum.service.machines.baselines import has_baseline
-from residuum.service.notifications import Broker, receivers_of
+from residuum.service.notifications import receivers_of
 from residuum.service.security.access import ApiKeys
 from residuum.service.settings import Settings, is_loopback, load_settings
 from residuum.service.storage import DiskStore, audit
@@ -57,12 +49,6 @@ _SPARE = 512 * _MIB
 # How long a device may take to accept a connection [s]: devices are asked one after the other, and
 # the report must come also where several are away.
 _PATIENCE = 3.0
-# Of an address that says none: the port registered for OPC UA.
-_OPCUA_PORT = 4840
-
-
-class Wrong(Exception):
-    """A check found something wrong; the message is one line that says what."""
 
 
 @dataclass(frozen=True)
@@ -354,88 +340,9 @@ def _buses(settings: Settings) -> list[Check]:
     return [_check(f"{source.kind} bus", partial(_bus, source)) for source in sources.values()]
 
 
-def _bus(source: SourceSettings) -> str | tuple[str, str]:
-    return BUSES.get(source.kind, _streams_alone)(source)
-
-
-def _can(source: SourceSettings) -> tuple[str, str]:
-    messages = read_dbc(source.map_file)
-    layouts = streamed(messages)
-    # Opened and not read: a bus on which nothing is sent at this moment is not wrong.
-    open_bus(source.channel).close()
-    remarks = [f"{layout.name}: {layout.remark}" for layout in layouts if layout.remark]
-    remarks += messages.unusable.values()
-    names = ", ".join(layout.name for layout in layouts)
-    says = f"{source.channel} can be opened; {source.map} streams {names}"
-    silent = [
-        f"{layout.name} {layout.why_no_stream}"
-        for layout in messages.values()
-        if layout.why_no_stream
-    ]
-    if silent:
-        says += f"; of {len(silent)} not streamed the first: {silent[0]}"
-    return says, "; ".join(remarks)
-
-
-def _sparkplug(source: SourceSettings) -> str:
-    metrics = read_metric_map(source.map_file)
-    broker = metrics.entered(source.channel)
-    _let_in(broker)
-    return (
-        f"{broker.host}:{broker.port} lets us in; {source.map} has {len(metrics.streams)}"
-        f" streams of {metrics.node}"
-    )
-
-
-def _opcua(source: SourceSettings) -> str:
-    """A connection alone: whether the nodes are there shows when the service reads them."""
-    streams = len(read_node_map(source.map_file).streams)
-    url = urllib.parse.urlsplit(source.channel)
-    host, port = url.hostname or "", url.port or _OPCUA_PORT
-    address = f"{host}:{port}"
-    try:
-        socket.create_connection((host, port), timeout=_PATIENCE).close()
-    except OSError as error:
-        raise Wrong(f"{address}: no connection: {error}") from None
-    return f"{address} accepts connections; {source.map} has {streams} streams"
-
-
-def _modbus(source: SourceSettings) -> str | tuple[str, str]:
-    """Read the device once by its map."""
-    registers = read_register_map(source.map_file)
-    address = f"{source.host}:{source.port}"
-    try:
-        readings, refusals = read_device(source.host, source.port, registers, _PATIENCE)
-    # A remark and not wrong: the device is there and answers, but not for this unit.
-    except TimeoutError as error:
-        return (
-            f"{address} accepts connections",
-            f"but gives no reply that fits: {error}; look at unit_id ({registers.unit_id})",
-        )
-    if refusals:
-        raise Wrong(f"{address}: {'; '.join(refusals)}")
-    remarks = [
-        f"{entry.stream}.{entry.channel}: {entry.remark}"
-        for entry in readings
-        if entry.remark not in ("", "missing")
-    ]
-    return f"{address} answers; {source.map}: {len(readings)} channels read", "; ".join(remarks)
-
-
-def _streams_alone(source: SourceSettings) -> tuple[str, str]:
-    """Of a kind that has no look of its own: what its map says, without a connection."""
-    streams = SOURCES[source.kind](source, lambda _block: True).streams
-    names = ", ".join(stream.name for stream in streams)
-    return f"{source.map} streams {names}", "whether it answers was not tried"
-
-
-BUSES: dict[str, Callable[[SourceSettings], str | tuple[str, str]]] = {
-    "can": _can,
-    "modbus": _modbus,
-    "opcua": _opcua,
-    "sparkplug": _sparkplug,
-}
-"""Kind of a source → what is looked at; a kind that is not here tells its streams."""
+def _bus(source: SourceSettings) -> Told:
+    kind = SOURCES[source.kind]
+    return streams_alone(kind, source) if kind.look is None else kind.look(source, _PATIENCE)
 
 
 def _receivers(settings: Settings) -> list[Check]:
@@ -468,7 +375,7 @@ def _broker(settings: Settings) -> tuple[str, str]:
 def _let_in(address: BrokerAddress) -> None:
     """Whether a broker lets us in; Wrong when it does not."""
     try:
-        Broker(address).try_connection()
+        try_connection(address)
     except OSError as error:
         raise Wrong(f"{address.host}:{address.port}: {error}") from None
 

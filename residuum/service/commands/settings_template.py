@@ -8,6 +8,7 @@ from typing import Annotated
 
 import typer
 
+from residuum.service.fieldbus import SOURCES
 from residuum.service.fieldbus.settings import MachineSettings, SourceSettings
 
 # Options that say where the service has its settings and its data.
@@ -91,30 +92,16 @@ def _windows() -> list[str]:
 def _sources(machine: MachineSettings | None) -> list[str]:
     if machine is not None:
         return [_source(source) for source in machine.sources]
-    return [
-        (
-            '      - {kind: can, channel: "socketcan:can0", map: my-machine.dbc}          # FILL'
-            " IN, or the next line in its place"
-        ),
-        (
-            "      # - {kind: modbus, host: 192.168.0.10, port: 502, map: registers.yaml}   #"
-            " `residuum watch map` makes the map"
-        ),
-        (
-            '      # - {kind: opcua, channel: "opc.tcp://192.168.0.10:4840", map: nodes.yaml}   #'
-            " map: `residuum opcua browse`"
-        ),
-        (
-            '      # - {kind: sparkplug, channel: "mqtt://192.168.0.11", map: metrics.yaml}   #'
-            " map: `residuum sparkplug browse`"
-        ),
+    first, *others = (kind.template for kind in SOURCES.values())
+    return [f"      {first[0]} # {first[1]}"] + [
+        f"      # {line} # {says}" for line, says in others
     ]
 
 
 def _source(source: SourceSettings) -> str:
-    if source.kind != "modbus":
+    if not SOURCES[source.kind].by_host:
         return f'      - {{kind: {source.kind}, channel: "{source.channel}", map: {source.map}}}'
-    return f"      - {{kind: modbus, host: {source.host}, port: {source.port}, map: {source.map}}}"
+    return f"      - {{kind: {source.kind}, host: {source.host}, port: {source.port}, map: {source.map}}}"
 
 
 def _channels(signals: Mapping[str, str], channels: Mapping[str, str]) -> list[str]:

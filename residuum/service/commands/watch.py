@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import inspect
 import sys
 import threading
 import time
 import urllib.parse
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -16,6 +17,7 @@ from residuum.identification.errors import BadInput
 from residuum.identification.physics import load_model
 from residuum.nearest_names import known_names
 from residuum.service.commands.machine_checks import bus_signals
+from residuum.service.commands.options_of import expanded
 from residuum.service.commands.output_file import check_output_file
 from residuum.service.commands.report import AsJson, progress, report
 from residuum.service.commands.running_service import HERE, ServiceUrl, answered, ask
@@ -35,28 +37,37 @@ MachineArgument = Annotated[str, typer.Argument(metavar="MACHINE", help="Name of
 _PAUSE = 0.5
 
 
+class _Buses(dict[str, str | None]):
+    """Kind of a source → where one is; None where none was told."""
+
+
+def _asks_for_buses(function: Callable[..., Any]) -> Callable[..., Any]:
+    """An option for each kind of source, in the place of the parameter `buses`."""
+    options = {
+        name: inspect.Parameter(
+            name,
+            inspect.Parameter.KEYWORD_ONLY,
+            default=None,
+            annotation=Annotated[str | None, typer.Option(help=kind.asked)],
+        )
+        for name, kind in SOURCES.items()
+    }
+    return expanded(function, "buses", options, _Buses)
+
+
+_MAPS = [kind.map_called for kind in SOURCES.values()]
+
+
 @app.command()
+@_asks_for_buses
 def init(
+    *,
     out: Annotated[Path, typer.Option(help="The settings' file to write.")] = Path("residuum.yaml"),
     asset: Annotated[str, typer.Option(help="Name of the machine.")] = "my-machine",
-    can: Annotated[str | None, typer.Option(help="CAN bus, for example socketcan:can0.")] = None,
-    modbus: Annotated[str | None, typer.Option(help="HOST:PORT of a Modbus TCP device.")] = None,
-    opcua: Annotated[
-        str | None, typer.Option(help="OPC UA server, for example opc.tcp://192.168.0.10:4840.")
-    ] = None,
-    sparkplug: Annotated[
-        str | None,
-        typer.Option(help="Broker of a Sparkplug B node, for example mqtt://192.168.0.11."),
-    ] = None,
+    buses: _Buses,
     bus_map: Annotated[
         str | None,
-        typer.Option(
-            "--map",
-            help=(
-                "DBC file (CAN), register map (Modbus), node map (OPC UA) or metric map"
-                " (Sparkplug)."
-            ),
-        ),
+        typer.Option("--map", help=f"{', '.join(_MAPS[:-1])} or {_MAPS[-1]}."),
     ] = None,
     model: Annotated[
         str | None, typer.Option(help="Model file of the machine, or a built-in model.")
@@ -70,9 +81,7 @@ def init(
     if out.exists():
         raise BadInput(f"--out {out}: is there already; choose another name or remove it")
     check_output_file(out)
-    machine = _machine(
-        asset, {"can": can, "modbus": modbus, "opcua": opcua, "sparkplug": sparkplug}, bus_map
-    )
+    machine = _machine(asset, buses, bus_map)
     signals = {} if machine is None else bus_signals(machine)
     channels = guessed_channels(load_model(model), signals) if model and signals else {}
     out.write_text(settings_template(asset, machine, signals, model, channels), encoding="utf-8")
@@ -252,8 +261,8 @@ def _machine(
             " browse a metric map"
         )
         raise BadInput(
-            "--map: is missing; a source needs its DBC file, register map, node map or metric map"
-            f" ({makers})"
+            "--map: is missing; a source needs the file that says what it carries:"
+            f" {', '.join(_MAPS[:-1])} or {_MAPS[-1]} ({makers})"
         )
     try:
         return MachineSettings(
@@ -271,11 +280,9 @@ def _machine(
 
 def _source(kind: str, where: str, bus_map: str) -> SourceSettings:
     """The source of a kind at a place; ValueError for a place that is none."""
-    given: dict[str, Any] = {"channel": where}
-    if kind == "modbus":
-        host, _, port = where.rpartition(":")
-        given = {"host": host or "127.0.0.1", "port": int(port)}
-    return SourceSettings.model_validate({"kind": kind, "map": bus_map, **given})
+    return SourceSettings.model_validate(
+        {"kind": kind, "map": bus_map, **SOURCES[kind].reached(where)}
+    )
 
 
 def _listened(machine: MachineSettings, seconds: float) -> tuple[dict[str, Any], dict[str, str]]:

@@ -25,23 +25,27 @@ COUNTERS = {
     "corrupt_replies": "Modbus replies whose checksum or sequence number is wrong, dropped",
     "timeouts": "Modbus requests without a reply in time",
     "reconnects": "times the source was opened again",
-    "bad_status": "OPC UA and Sparkplug values whose status is not good, taken as missing",
-    "unstamped": "OPC UA values without a source time stamp, dropped",
-    "late_values": (
-        "OPC UA and Sparkplug values that came after their sample had been handed on, dropped"
+    "bad_status": (
+        "values whose status is not good, or that are of another type than a number, taken as missing"
     ),
+    "no_value": (
+        "values that say of themselves that there is none, taken as missing: an infinite number, a"
+        " code for it on CAN, what a register map calls missing, an empty cell of a file, a null of JSON"
+    ),
+    "unstamped": "values and messages without a time stamp, dropped",
+    "late_values": ("stamped values that came after their sample had been handed on, dropped"),
     "sequence_gaps": (
         "gaps in the sequence of a Sparkplug node: nothing is taken until it is born again"
     ),
     "unborn": "Sparkplug messages and values that came before a birth or after a gap, dropped",
     "rebirths_asked": "times a Sparkplug node was asked to be born again",
     "surplus": (
-        "OPC UA and Sparkplug values of a sample that has one already, dropped: they come faster"
+        "stamped values of a sample that has one already, dropped: they come faster"
         " than the map says"
     ),
     "overflow": (
-        "Sparkplug messages that came faster than they were read, dropped: the node is asked to be"
-        " born again"
+        "messages of a broker that came faster than they were read, dropped: a Sparkplug node is"
+        " asked to be born again"
     ),
     "queue_drops": "samples dropped because the windows could not be cut fast enough",
 }

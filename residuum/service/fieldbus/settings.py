@@ -9,18 +9,19 @@ from pydantic import Field, model_validator
 
 from residuum.library.questions import field
 from residuum.service.alarms.alarm_states import AlarmRule
-from residuum.service.broker import broker_address
 from residuum.service.fieldbus import SOURCES
 from residuum.service.fieldbus.strict_model import StrictModel
 
 MAPS = Path(__file__).parent / "maps"
 
 
-_CALLED = {"can": "CAN bus", "modbus": "Modbus TCP", "opcua": "OPC UA", "sparkplug": "Sparkplug B"}
-KINDS = {kind: _CALLED.get(kind, kind) for kind in SOURCES}
+KINDS = {name: kind.called for name, kind in SOURCES.items()}
 """Kind of a source → how people call it."""
-_OF_MODBUS = ({"kind": ["modbus"]},)
-_OF_THE_OTHERS = ({"kind": [kind for kind in SOURCES if kind != "modbus"]},)
+_BY_HOST = ({"kind": [name for name, kind in SOURCES.items() if kind.by_host]},)
+_BY_CHANNEL = ({"kind": [name for name, kind in SOURCES.items() if not kind.by_host]},)
+_EXAMPLES = ", ".join(
+    f"{name} {kind.example}" for name, kind in SOURCES.items() if not kind.by_host
+)
 if TYPE_CHECKING:
     Kind = str
 else:  # mypy takes no names that are not written here; a new kind is one line in `SOURCES`
@@ -39,31 +40,25 @@ class SourceSettings(StrictModel):
     `can` needs `channel` (`socketcan:can0`, `udp_multicast:239.74.163.2:43113`, `virtual:bench`)
     and a DBC file; `modbus` needs `host`, `port` and a register map; `opcua` needs `channel`
     (`opc.tcp://host:4840`) and a node map; `sparkplug` needs `channel`
-    (`mqtt[s]://[user:password@]broker[:port]`) and a metric map. `map` is a file, or the name of
-    one that comes with Residuum.
+    (`mqtt[s]://[user:password@]broker[:port]`) and a metric map; `mqtt` the same and a topic map;
+    `file` needs `channel`
+    (`file:/var/log/machine.csv`) and a column map. `map` is a file, or the name of one that comes
+    with Residuum.
     """
 
     kind: Kind = Field(json_schema_extra={"x-titles": dict(KINDS)})
     map: str
     channel: str = field(
         "",
-        "Address of the bus: can socketcan:can0, opcua opc.tcp://host:4840, sparkplug"
-        " mqtt://broker:1883.",
-        only_with=_OF_THE_OTHERS,
+        f"Address of the bus: {_EXAMPLES}.",
+        only_with=_BY_CHANNEL,
     )
-    host: str = field("127.0.0.1", "Address of the device.", only_with=_OF_MODBUS)
-    port: int = field(502, "Port of the device.", only_with=_OF_MODBUS, ge=1, le=65535)
+    host: str = field("127.0.0.1", "Address of the device.", only_with=_BY_HOST)
+    port: int = field(502, "Port of the device.", only_with=_BY_HOST, ge=1, le=65535)
 
     @model_validator(mode="after")
     def _complete(self) -> SourceSettings:
-        if self.kind == "can" and not self.channel:
-            raise ValueError("a CAN source needs a channel, for example socketcan:can0")
-        if self.kind == "opcua" and not self.channel.startswith("opc.tcp://"):
-            raise ValueError(
-                "an OPC UA source needs a channel, for example opc.tcp://192.168.0.10:4840"
-            )
-        if self.kind == "sparkplug":
-            broker_address(self.channel)  # raises where it is none
+        SOURCES[self.kind].check(self)  # raises where it is no address of this kind
         return self
 
     @property

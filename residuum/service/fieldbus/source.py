@@ -163,8 +163,9 @@ class Source(ABC):
 
     def _deliver(self, block: Block, frames: int) -> None:
         """Hand on a block, then count it: whoever reads the counters finds every counted sample
-        delivered.
+        delivered. An infinite number is no value that was measured.
         """
+        block = self._without_infinite(block)
         if not self._sink(block):
             self.health.count(
                 "queue_drops",
@@ -172,3 +173,20 @@ class Source(ABC):
                 f"{block.stream}: {block.n} samples dropped, the windows are behind",
             )
         self.health.received(frames, block.n)
+
+    def _without_infinite(self, block: Block) -> Block:
+        infinite = {name: np.isinf(values) for name, values in block.channels.items()}
+        many = {name: int(where.sum()) for name, where in infinite.items() if where.any()}
+        if not many:
+            return block
+        self.count_no_value(many)
+        finite = {
+            name: np.where(infinite[name], np.nan, values)
+            for name, values in block.channels.items()
+        }
+        return Block(block.stream, block.number, finite)
+
+    def count_no_value(self, many: Mapping[str, int]) -> None:
+        """Count values that say that there is none: channel → how many, of those that have some."""
+        for name, count in many.items():
+            self.health.count("no_value", count, f"channel {name!r}: says that it has no value")

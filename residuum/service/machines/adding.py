@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import re
 import tempfile
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
@@ -21,11 +21,7 @@ from residuum.identification.units import compatible
 from residuum.nearest_names import known_names
 from residuum.service.alarms.alarm_states import AlarmRule
 from residuum.service.broker import is_hidden, with_hidden_password
-from residuum.service.fieldbus.can.can_source import streamed
-from residuum.service.fieldbus.can.frame_layout import read_dbc
-from residuum.service.fieldbus.modbus.register_map import read_register_map
-from residuum.service.fieldbus.modbus.register_table import register_map_of, register_map_text
-from residuum.service.fieldbus.opcua.node_map import read_node_map
+from residuum.service.fieldbus import SOURCES, TEXTS
 from residuum.service.fieldbus.settings import (
     MAPS,
     MachineSettings,
@@ -34,7 +30,6 @@ from residuum.service.fieldbus.settings import (
     WindowSettings,
 )
 from residuum.service.fieldbus.source import StreamFormat
-from residuum.service.fieldbus.sparkplug.metric_map import read_metric_map
 from residuum.service.settings import Settings
 from residuum.service.storage.disk_store import DiskStore
 from residuum.service.store import Conflict, NotFound
@@ -42,19 +37,11 @@ from residuum.service.store import Conflict, NotFound
 # What a DBC file, a map or a table of registers says of a bus, before any machine is
 # read by it.
 
-OF_SOURCE = {
-    "dbc": "can",
-    "table": "modbus",
-    "registers": "modbus",
-    "nodes": "opcua",
-    "metrics": "sparkplug",
-}
+OF_SOURCE: Mapping[str, str] = TEXTS
 """Kind of a bus description → kind of the sources that are read by it."""
-_MAPS: Mapping[str, Callable[[Path], Any]] = {
-    "registers": read_register_map,
-    "nodes": read_node_map,
-    "metrics": read_metric_map,
-}
+_CALLED = [text.called for kind in SOURCES.values() for text in kind.texts.values()]
+DESCRIPTIONS = f"{', '.join(_CALLED[:-1])}, or {_CALLED[-1]}."
+"""What they are, in a sentence."""
 
 
 @dataclass(frozen=True)
@@ -83,47 +70,19 @@ class BusDescription:
 def bus_description(
     kind: str, name: str, text: str, sample_time: float = 0.1, unit_id: int = 1
 ) -> BusDescription:
-    """Understand a description: `dbc`, `table` (made into a register map), or a map in YAML:
-    `registers`, `nodes`, `metrics`.
+    """Understand a description, one of `TEXTS`; of a table of registers a map is made.
 
     BadBusDescription when it cannot be read, or carries no stream of samples.
     """
-    stem = Path(name).stem or "bus"
-    if kind == "table":
-        text, kind = (
-            register_map_text(register_map_of(text, sample_time, name, unit_id)),
-            "registers",
-        )
+    stem, asked = Path(name).stem or "bus", SOURCES[TEXTS[kind]].texts[kind]
+    if asked.made is not None:
+        text = asked.made(text, sample_time, name, unit_id)
     # readers read files: what was sent is one for as long as it is read
     with tempfile.TemporaryDirectory() as folder:
-        file = Path(folder) / f"{stem}{'.dbc' if kind == 'dbc' else '.yaml'}"
+        file = Path(folder) / f"{stem}{asked.ending}"
         file.write_text(text, encoding="utf-8")
-        streams, remarks = _of_dbc(file) if kind == "dbc" else _of_map(_MAPS[kind](file).streams)
+        streams, remarks = asked.read(file)
     return BusDescription(file.name, text, streams, remarks)
-
-
-def _of_dbc(file: Path) -> tuple[list[StreamFormat], list[str]]:
-    messages = read_dbc(file)
-    read = streamed(messages)
-    remarks = [f"message {layout.name}: {layout.remark}" for layout in read if layout.remark]
-    left_out = [
-        f"message {name} is not read: it {msg.why_no_stream}"
-        for name, msg in messages.items()
-        if msg.why_no_stream
-    ]
-    return [layout.format for layout in read], [*remarks, *left_out, *messages.unusable.values()]
-
-
-def _of_map(streams: Mapping[str, Any]) -> tuple[list[StreamFormat], list[str]]:
-    slow = [name for name, stream in streams.items() if getattr(stream, "poll", None)]
-    polled = [f"stream {name} is polled: a read that comes late leaves a hole" for name in slow]
-    formats = [stream.format(name) for name, stream in streams.items()]
-    bare = [name for format in formats for name, unit in format.units.items() if not unit]
-    says = (
-        f"no unit is said for {', '.join(bare)}: a model takes a signal with a unit only where it"
-        " is said"
-    )
-    return formats, [*polled, *([says] if bare else [])]
 
 
 # Which signal of a bus a model means: the one of the same name, else the only one with a unit
@@ -255,7 +214,7 @@ def kept_maps(store: DiskStore, asset: str) -> Mapping[str, str]:
     return dict((kept_document(store, f"{asset}.{KIND}") or {}).get("maps", {}))
 
 
-def kept_machines(store: DiskStore, data: Path) -> Sequence[MachineSettings]:
+def kept_machines(store: DiskStore, settings: Settings) -> Sequence[MachineSettings]:
     """All machines that are kept, their bus descriptions as files below the data folder."""
     machines: list[MachineSettings] = []
     cursor = None
@@ -269,8 +228,8 @@ def kept_machines(store: DiskStore, data: Path) -> Sequence[MachineSettings]:
                 document = orjson.loads(store.model_content(version.model))
                 if document["machine"] is not None:
                     machines.append(
-                        with_map_files(
-                            MachineSettings(**document["machine"]), document["maps"], data
+                        with_server_files(
+                            MachineSettings(**document["machine"]), document["maps"], settings
                         )
                     )
             except (
@@ -288,16 +247,23 @@ def kept_machines(store: DiskStore, data: Path) -> Sequence[MachineSettings]:
             return machines
 
 
-def with_map_files(
-    machine: MachineSettings, maps: Mapping[str, str], data: Path
+def with_server_files(
+    machine: MachineSettings, maps: Mapping[str, str], settings: Settings
 ) -> MachineSettings:
-    """The settings with the files that hold the bus descriptions in place of their names.
+    """The settings with the files of this computer in place of what names them: those that hold the
+    bus descriptions, and growing files.
 
-    BadInput for a name that is neither among `maps` nor one that comes with Residuum: other files
-    of this computer are not read for who adds a machine.
+    BadInput for the name of a map that is neither among `maps` nor one that comes with Residuum,
+    and for a growing file that is not below the folder that the settings say: other files of this
+    computer are not read for who adds a machine.
     """
     sources = [
-        {**source.model_dump(), "map": _file(source.map, maps, data)} for source in machine.sources
+        {
+            **source.model_dump(),
+            "map": _file(source.map, maps, settings.data),
+            "channel": SOURCES[source.kind].sent(source.channel, settings.growing_files),
+        }
+        for source in machine.sources
     ]
     return MachineSettings(**{**machine.model_dump(), "sources": sources})
 
@@ -362,7 +328,7 @@ def known_dbc(settings: Settings, store: DiskStore, name: str) -> Path:
     """The DBC file of this name; BadInput names those that are known. No other file of the computer
     can be asked for.
     """
-    machines = [*settings.machines, *kept_machines(store, settings.data)]
+    machines = [*settings.machines, *kept_machines(store, settings)]
     files = [
         source.map_file
         for machine in machines

@@ -208,7 +208,7 @@ class Pipeline:
         """The machines that were added while the service ran; one that can no longer be read is
         left out and logged.
         """
-        for machine in kept_machines(self._store, self._settings.data):
+        for machine in kept_machines(self._store, self._settings):
             if machine.asset in self._lines:
                 log.warning(
                     "a machine of the settings stands before one of this name that was added",

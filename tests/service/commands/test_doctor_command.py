@@ -5,6 +5,7 @@ import json
 import re
 import socket
 import sqlite3
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -12,7 +13,7 @@ import pytest
 from residuum.diagnosis.finding import Finding
 from residuum.identification.record import Record
 from residuum.service.cli import run
-from residuum.service.commands import doctor
+from residuum.service.fieldbus import SOURCES
 from residuum.service.settings import SETTINGS_FILE
 from residuum.service.storage import DiskStore
 from residuum.service.storage.database import Database, known_revisions
@@ -235,7 +236,7 @@ def test_a_dbc_file_is_said_to_stream_what_it_does(
 
 def test_a_kind_of_source_without_a_look_of_its_own_tells_its_streams(data, capsys, monkeypatch):
     """A new kind is one file and one entry; the look of another kind must not judge it."""
-    monkeypatch.delitem(doctor.BUSES, "modbus")
+    monkeypatch.setitem(SOURCES, "modbus", replace(SOURCES["modbus"], look=None))
     watched = {
         "asset": "plant",
         "diagnoser": "robust-residual",

@@ -6,6 +6,7 @@ when the device begins anew and when nobody can reach it; what its protocol does
 
 import asyncio
 import gc
+import json
 import math
 import threading
 import time
@@ -35,6 +36,8 @@ PATIENCE = 60.0
 SAY_WHY = "write it, or say in `lacks` why the protocol has no such thing"
 WRONG = 7777.7
 """What stands in a value that must not be believed: no sample has it."""
+NO_VALUE = 65535
+"""A raw number that says that there is no value."""
 _SET_BACK = -3600.0
 """[s] By which a device's clock is wrong after it began anew."""
 
@@ -108,6 +111,10 @@ class Rig(ABC):
 
     def put_wrong_type(self, k):
         """Send a sample of which u is not of the type that it should be."""
+        raise NotImplementedError(SAY_WHY)
+
+    def put_no_value(self, k):
+        """Send a sample of which u says itself that there is no value: a code for it, or an infinite number."""
         raise NotImplementedError(SAY_WHY)
 
     def begin_anew(self):
@@ -204,6 +211,7 @@ class CanRig(Rig):
         "gap": {"lost"},
         "repeat": {"duplicated"},
         "late": {"reordered"},
+        "no value": {"no_value"},
         "bad": {"undecodable"},
         "anew": {"counter_jumps"},
         "cut": {"bus_errors", "reconnects"},
@@ -215,6 +223,7 @@ class CanRig(Rig):
             'VERSION ""\nBS_:\nBU_: A\nBO_ 256 machine: 5 A\n SG_ u : 0|16@1+ (0.5,0) [0|0] "V" A\n'
             ' SG_ y : 16|16@1- (0.25,100) [0|0] "m" A\n SG_ counter : 32|8@1+ (1,0) [0|255] "" A\n'
             f'BA_DEF_ BO_ "SampleTime" FLOAT 0 1000;\nBA_ "SampleTime" BO_ 256 {self.sample_time};\n'
+            f'VAL_ 256 u {NO_VALUE} "not available";\n'
         )
 
     def begin(self):
@@ -232,6 +241,12 @@ class CanRig(Rig):
 
     def put_bad(self, k):
         self.bus.send(256, b"123")  # too short
+
+    def put_no_value(self, k):
+        layout = read_dbc(self.folder / "map")["machine"]
+        self.bus.send_many(
+            256, layout.encode([(k - self.first) % 256], truth(k) | {"u": 0.5 * NO_VALUE})
+        )
 
     def begin_anew(self):
         self.first = self.next + 128  # half a turn away: neither losses nor repetitions explain it
@@ -274,12 +289,13 @@ class ModbusRig(Rig):
 
     def channels(self):
         return {
-            "u": {"register": 0, "type": "uint16", "scale": 0.5, "unit": "V"},
+            "u": {"register": 0, "type": "uint16", "scale": 0.5, "unit": "V", "missing": NO_VALUE},
             "y": {"register": 1, "type": "int16", "scale": 0.25, "offset": 100.0, "unit": "m"},
         }
 
-    def registers(self, k):
-        return self.stream.encode({name: [value] for name, value in truth(k).items()})
+    def registers(self, k, u=None):
+        values = truth(k) if u is None else truth(k) | {"u": u}
+        return self.stream.encode({name: [value] for name, value in values.items()})
 
 
 class PagedModbusRig(ModbusRig):
@@ -289,6 +305,7 @@ class PagedModbusRig(ModbusRig):
     counts: ClassVar = {
         "gap": {"lost"},
         "repeat": {"late_replies", "reconnects"},
+        "no value": {"no_value"},
         "bad": {"corrupt_replies"},
         "anew": {"counter_jumps"},
         "cut": {"bus_errors", "reconnects"},
@@ -345,6 +362,11 @@ class PagedModbusRig(ModbusRig):
         wait(lambda: "corrupt_replies" in self.counted())
         self._write(k, self.registers(k))
 
+    def put_no_value(self, k):
+        self._write(k, self.registers(k, u=math.nan))
+        self.made = k + 1
+        self.device.memory[0:2] = (0, self.made - self.first)
+
     def begin_anew(self):
         self.first = self.made = self.next
         self.device.memory[0:2] = 0
@@ -361,6 +383,7 @@ class PolledModbusRig(ModbusRig):
     counts: ClassVar = {
         "gap": {"timeouts", "reconnects", "lost"},
         "repeat": {"late_replies", "reconnects"},
+        "no value": {"no_value"},
         "bad": {"modbus_exceptions"},
         "cut": {"bus_errors", "reconnects"},
         "nowhere": {"bus_errors"},
@@ -391,6 +414,10 @@ class PolledModbusRig(ModbusRig):
     def put_bad(self, k):
         self.device.faults = iter(["exception"])
         self.put([k])
+
+    def put_no_value(self, k):
+        self.device.memory[40:42] = self.registers(k, u=math.nan)
+        wait(lambda: "no_value" in self.counted())
 
 
 class StampedRig(Rig):
@@ -502,6 +529,7 @@ class OpcuaRig(StampedRig):
     counts: ClassVar = {
         "gap": {"lost"},
         "repeat": {"reconnects"},
+        "no value": {"no_value"},
         "bad": {"bad_status"},
         "wrong type": {"bad_status"},
         "anew": {"counter_jumps"},
@@ -568,6 +596,9 @@ class OpcuaRig(StampedRig):
     def put_wrong_type(self, k):
         self._write_other(k, f"{WRONG}")
 
+    def put_no_value(self, k):
+        self._write_other(k, math.inf)
+
     def begin_anew(self):
         self.set_back()
 
@@ -609,6 +640,7 @@ class SparkplugRig(StampedRig):
     counts: ClassVar = {
         "gap": {"lost"},
         "repeat": {"duplicated"},
+        "no value": {"no_value"},
         "bad": {"bad_status"},
         "wrong type": {"bad_status"},
         "anew": {"counter_jumps"},
@@ -670,6 +702,9 @@ class SparkplugRig(StampedRig):
     def put_wrong_type(self, k):
         self._write(k, self.raw(k) | {"u": f"{WRONG}"})
 
+    def put_no_value(self, k):
+        self._write(k, self.raw(k) | {"u": math.inf})
+
     def begin_anew(self):
         self.node.stop()
         self.set_back()
@@ -687,5 +722,155 @@ class SparkplugRig(StampedRig):
         self.node.stop()
 
 
-RIGS = (CanRig, PagedModbusRig, PolledModbusRig, OpcuaRig, SparkplugRig)
+class MqttRig(StampedRig):
+    """A device that publishes JSON messages, over a real broker."""
+
+    kind = "mqtt"
+    lacks: ClassVar = {}
+    counts: ClassVar = {
+        "gap": {"lost"},
+        "repeat": {"duplicated"},
+        "no value": {"no_value"},
+        "bad": {"undecodable"},
+        "wrong type": {"bad_status"},
+        "anew": {"counter_jumps"},
+        "cut": {"bus_errors", "reconnects"},
+        "nowhere": {"bus_errors"},
+    }
+
+    def map_text(self):
+        channels = self.scaled("path", {name: f"/values/0/{name}" for name in UNITS})
+        stream = {
+            "sample_time": self.sample_time,
+            "topic": "rig/+",
+            "time": {"path": "at", "form": "ms"},
+            "channels": channels,
+        }
+        return yaml.safe_dump({"streams": {"machine": stream}})
+
+    def begin(self):
+        reason = "the extra 'mqtt' is not installed: JSON over MQTT was not tried"
+        pytest.importorskip("paho.mqtt.client", reason=reason)
+        self.port = self.fixture("free_port")()
+        address = broker_address(f"mqtt://127.0.0.1:{self.port}")
+        self.client = address.client()
+        self.client.reconnect_delay_set(1, 1)
+        self.client.connect_async(address.host, address.port)
+        self.restore()
+        self.client.loop_start()
+        return {"channel": f"mqtt://127.0.0.1:{self.port}"}
+
+    def nowhere(self):
+        pytest.importorskip("paho.mqtt.client")
+        return {"channel": f"mqtt://127.0.0.1:{self.fixture('free_port')()}"}
+
+    def publish(self, k, values):
+        content = json.dumps({"at": 1e3 * self.stamp(k), "values": [values]})
+        self.client.publish("rig/data", content, qos=1)
+
+    def put(self, numbers):
+        for k in numbers:
+            self.publish(k, self.raw(k))
+
+    def put_late(self, numbers):
+        """Of a channel, values come in order; those of one channel may come behind those of another."""
+        for name in UNITS:
+            for k in numbers:
+                self.publish(k, {name: self.raw(k)[name]})
+
+    def put_bad(self, k):
+        content = f'{{"at": {1e3 * self.stamp(k)}, "values": [{{"u": {WRONG}'
+        self.client.publish("rig/data", content, qos=1)
+        self.put([k])
+
+    def put_wrong_type(self, k):
+        self.publish(k, self.raw(k) | {"u": f"{WRONG}"})
+
+    def put_no_value(self, k):
+        self.publish(k, self.raw(k) | {"u": None})
+
+    def begin_anew(self):
+        self.set_back()
+
+    def cut(self):
+        self.broker.terminate()
+        self.broker.wait(PATIENCE)
+
+    def restore(self):
+        self.broker = self.fixture("start_mosquitto")(self.port)
+        self.catch_up()
+
+    def close(self):
+        self.client.disconnect()
+        self.client.loop_stop()
+
+
+class GrowingFileRig(StampedRig):
+    """A logger that adds rows to its text file."""
+
+    kind = "file"
+    lacks: ClassVar = {
+        "late": "rows stand in the order in which they were written: a step back is a clock that was set"
+    }
+    counts: ClassVar = {
+        "gap": {"lost"},
+        "repeat": {"duplicated"},
+        "no value": {"no_value"},
+        "bad": {"undecodable"},
+        "wrong type": {"bad_status"},
+        "anew": {"counter_jumps"},
+        "cut": {"bus_errors", "reconnects"},
+        "nowhere": {"bus_errors"},
+    }
+
+    def map_text(self):
+        stream = {
+            "sample_time": self.sample_time,
+            "time": {"column": "at", "form": "epoch s"},
+            "channels": self.scaled("column", {"u": "u raw", "y": "y raw"}),
+        }
+        return yaml.safe_dump({"delimiter": ";", "streams": {"machine": stream}})
+
+    def begin(self):
+        self.file = self.folder / "log.csv"
+        self.restore()
+        return {"channel": f"file:{self.file}"}
+
+    def nowhere(self):
+        return {"channel": f"file:{self.folder}/no-such-folder/log.csv"}
+
+    def add(self, text):
+        if self.file.exists():
+            with self.file.open("a") as file:
+                file.write(text)
+
+    def row(self, k, **others):
+        values = self.raw(k) | others
+        return f"{self.stamp(k):.6f};{values['y']};a word;{values['u']}\n"
+
+    def put(self, numbers):
+        self.add("".join(map(self.row, numbers)))
+
+    def put_bad(self, k):
+        self.add(f"{self.stamp(k):.6f};{WRONG}\n")  # too few cells
+        self.put([k])
+
+    def put_wrong_type(self, k):
+        self.add(self.row(k, u=f"{WRONG} or so"))
+
+    def put_no_value(self, k):
+        self.add(self.row(k, u=""))
+
+    def begin_anew(self):
+        self.set_back()
+
+    def cut(self):
+        self.file.unlink()
+
+    def restore(self):
+        self.file.write_text("# of a rig\nat;y raw;note;u raw\n")
+        self.catch_up()
+
+
+RIGS = (CanRig, PagedModbusRig, PolledModbusRig, OpcuaRig, SparkplugRig, MqttRig, GrowingFileRig)
 """A device of every kind of source, some of two."""

@@ -8,7 +8,11 @@ import threading
 
 import numpy as np
 import pytest
+from typer.main import get_command
 
+from residuum.service.api.machines import BusText
+from residuum.service.commands import watch
+from residuum.service.commands.settings_template import settings_template
 from residuum.service.fieldbus import SOURCES
 from residuum.service.fieldbus.health import COUNTERS
 from residuum.service.fieldbus.sequence import BREAK
@@ -190,12 +194,13 @@ def test_what_comes_late_fills_its_hole(make_rig):
     assert "lost" not in {name for name, times in rig.counted().items() if times > 0}
 
 
-@pytest.mark.parametrize("step", ["bad", "wrong type"])
+@pytest.mark.parametrize("step", ["bad", "wrong type", "no value"])
 def test_what_is_no_value_is_never_a_number(make_rig, step):
     rig = make_rig(step)
     rig.start()
     before = rig.counted()
-    (rig.put_bad if step == "bad" else rig.put_wrong_type)(rig.next)
+    put = {"bad": rig.put_bad, "wrong type": rig.put_wrong_type, "no value": rig.put_no_value}
+    put[step](rig.next)
     rig.next += 1
     rig.flow()
     wait_counted(rig, step)
@@ -270,3 +275,21 @@ def test_an_end_is_counted_as_nothing(make_rig):
 
 def test_settings_know_every_kind():
     assert SourceSettings.model_json_schema()["properties"]["kind"]["enum"] == list(SOURCES)
+
+
+def test_all_that_is_known_of_kinds_comes_from_the_sources(tmp_path):
+    kinds = BusText.model_json_schema()["properties"]["kind"]
+    texts = {text: name for name, kind in SOURCES.items() for text in kind.texts}
+    assert kinds["enum"] == list(texts) and kinds["x-of-source"] == texts
+    (init,) = [c for c in get_command(watch.app).commands.values() if c.name == "init"]
+    assert set(SOURCES) <= {parameter.name for parameter in init.params}
+    assert all(f"{{kind: {name}," in settings_template("a", None, {}, None, {}) for name in SOURCES)
+
+
+@pytest.mark.parametrize("kind", SOURCES)
+def test_an_example_is_an_address_and_nothing_is_none(kind):
+    at = SOURCES[kind].reached(SOURCES[kind].example)
+    assert SourceSettings(kind=kind, map="m", **at)
+    if not SOURCES[kind].by_host:
+        with pytest.raises(ValueError, match=r"example|must be"):
+            SourceSettings(kind=kind, map="m")

@@ -210,7 +210,7 @@ def test_a_flood_takes_no_more_than_its_share_and_no_more_memory():
 
 
 def test_a_node_is_born_again_after_a_flood(broker, node, monkeypatch):
-    monkeypatch.setattr("residuum.service.fieldbus.sparkplug.sparkplug_source._MOST_WAITING", 5)
+    monkeypatch.setattr("residuum.service.fieldbus.broker_source.MOST_WAITING", 5)
     blocks = []
     node.write("Drive", {"u": 0.0}, time.time())
     source = SparkplugSource(

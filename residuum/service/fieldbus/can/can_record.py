@@ -12,7 +12,8 @@ from residuum.identification.errors import BadRecord
 from residuum.identification.record import Record
 from residuum.identification.record_formats.even_time import resampled, resampling
 from residuum.identification.record_formats.options import ReadOptions
-from residuum.service.fieldbus.can.can_log import read_can_log
+from residuum.service.fieldbus.can.can_log import CanLog, read_can_log
+from residuum.service.fieldbus.can.frame_batch import EXTENDED, group_of
 from residuum.service.fieldbus.can.frame_layout import BusMessages, read_dbc
 from residuum.service.fieldbus.can.logged_messages import LoggedMessage, logged_messages
 from residuum.service.fieldbus.settings import map_file
@@ -70,7 +71,8 @@ def read_can_record(
             " the log at its gaps"
         )
     channels = {name: _placed(*signal, begin, step, n) for name, signal in signals.items()}
-    notes = _notes(log.remarks, messages, heard, unused, options.resample)
+    notes = _in_packets(log, messages)
+    notes += _notes(log.remarks, messages, heard, unused, options.resample)
     # trimmed last: at the ends, what filling has left; it draws lines between two values alone
     if options.resample:
         channels, filled = _interpolated(channels, step, log.name)
@@ -247,6 +249,29 @@ def _notes(
             f" {_some(unused)}"
         )
     return notes
+
+
+# Of J1939's transport protocol: the group of its announcements, and those that begin a message.
+_ANNOUNCED, _BEGINS = 0xEC00, (16, 32)
+
+
+def _in_packets(log: CanLog, messages: BusMessages) -> list[str]:
+    """The messages that the log has in packets, which are not put together."""
+    packed = {
+        group_of(layout.frame_id): layout for layout in messages.values() if layout.in_packets
+    }
+    announced = {
+        int.from_bytes(frame.data[5:8], "little")
+        for frame in (log.frames if packed else ())
+        if frame.frame_id & EXTENDED
+        and group_of(frame.frame_id) == _ANNOUNCED
+        and len(frame.data) == 8
+        and frame.data[0] in _BEGINS
+    }
+    return [
+        f"not read: message {packed[group].name} {packed[group].in_packets}"
+        for group in sorted(announced & packed.keys())
+    ]
 
 
 def _none_known(messages: BusMessages, unused: dict[str, int]) -> str:

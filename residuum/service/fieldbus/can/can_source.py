@@ -10,8 +10,9 @@ import numpy as np
 import numpy.typing as npt
 
 from residuum.service.fieldbus.can.can_bus import CanBus, open_bus
-from residuum.service.fieldbus.can.frame_batch import FrameBatch
+from residuum.service.fieldbus.can.frame_batch import FrameBatch, source_of
 from residuum.service.fieldbus.can.frame_layout import BadBusDescription, BusMessages, FrameLayout
+from residuum.service.fieldbus.can.frame_matching import FrameMatching, several_sources
 from residuum.service.fieldbus.sequence import BREAK, Placed, SequenceCounter
 from residuum.service.fieldbus.source import (
     Backoff,
@@ -75,11 +76,12 @@ class CanSource(Source):
     def __init__(self, channel: str, layouts: Mapping[str, FrameLayout], sink: Sink) -> None:
         super().__init__(channel, sink)
         self.channel = channel
-        self._layouts = {layout.bus_id: layout for layout in streamed(layouts)}
+        self._streamed = streamed(layouts)
+        self._matching = FrameMatching(layouts.values())
+        self._sources: dict[str, set[int]] = {}
+        """J1939 message of any device → source addresses from which it came."""
         self.health.remarks = [
-            f"message {layout.name}: {layout.remark}"
-            for layout in self._layouts.values()
-            if layout.remark
+            f"message {layout.name}: {layout.remark}" for layout in self._streamed if layout.remark
         ]
         self._command, self._state = layouts.get(COMMAND), layouts.get(STATE)
         self._faults = {
@@ -87,12 +89,9 @@ class CanSource(Source):
             for number, name in (self._state.choices["fault"] if self._state else {}).items()
         }
         self._sizes: dict[str, float] = {}
-        self._places = {
-            frame_id: (
-                SequenceCounter(layout.counter_bits) if layout.counter_bits else ArrivalOrder()
-            )
-            for frame_id, layout in self._layouts.items()
-        }
+        self._places = {layout.bus_id: _place_of(layout) for layout in self._streamed}
+        self._bases: dict[int, int] = {}
+        self._newest: dict[int, int] = {}
         self._last_seen: dict[int, float] = {}
         self._was_empty = False
         self._clock = time.monotonic
@@ -101,7 +100,7 @@ class CanSource(Source):
     @property
     def streams(self) -> Sequence[StreamFormat]:
         """One stream a message with a time between frames."""
-        return [layout.format for layout in self._layouts.values()]
+        return [layout.format for layout in self._streamed]
 
     @property
     def fault_ids(self) -> Sequence[str]:
@@ -165,15 +164,40 @@ class CanSource(Source):
         if batch.undecodable:
             self.health.count("undecodable", batch.undecodable, "a frame that cannot be unpacked")
         for frame_id, arrays in batch.frames.items():
+            layout = self._matching.get(frame_id)
             for frames in arrays:
-                if frame_id in self._layouts:
-                    self._take_samples(self._layouts[frame_id], frames)
-                elif (
-                    self._state is not None
-                    and frame_id == self._state.bus_id
-                    and self._state.fits(frames.shape[1])
-                ):
-                    self._take_state(self._state, frames)
+                if layout is not None and layout.bus_id in self._places:
+                    if self._is_meant(layout, frame_id, len(frames)):
+                        self._take_samples(layout, frames)
+                elif layout is self._state and layout is not None and layout.fits(frames.shape[1]):
+                    self._take_state(layout, frames)
+
+    def _is_meant(self, layout: FrameLayout, frame_id: int, frames: int) -> bool:
+        """Whether frames of a message are of the device that is meant: of J1939 the one that the
+        DBC file names, else the only one; of several none is read.
+        """
+        if not layout.is_j1939 or layout.source_address is not None:
+            return True
+        source, sources = source_of(frame_id), self._sources.setdefault(layout.name, set())
+        is_new = source not in sources
+        sources.add(source)
+        if layout.own_source in sources:
+            if is_new and source == layout.own_source and len(sources) > 1:
+                self._begin_anew(layout)
+            return source == layout.own_source
+        if len(sources) > 1:
+            self.health.count("undecodable", frames, several_sources(layout, sources))
+        return len(sources) == 1
+
+    def _begin_anew(self, layout: FrameLayout) -> None:
+        """What came before was another device's."""
+        says = (
+            f"message {layout.name}: source address 0x{layout.own_source:02X} is read from now on"
+        )
+        self.health.count("counter_jumps", 1, says)
+        self._places[layout.bus_id] = _place_of(layout)
+        newest = self._newest.get(layout.bus_id, 0)
+        self._bases[layout.bus_id] = (newest // BREAK + 1) * BREAK
 
     def _take_samples(self, layout: FrameLayout, frames: npt.NDArray[np.uint8]) -> None:
         if not layout.fits(frames.shape[1]):
@@ -187,6 +211,7 @@ class CanSource(Source):
         since = now - self._last_seen.get(layout.bus_id, now)
         self._last_seen[layout.bus_id] = now
         counter, channels = layout.decode(frames)
+        self.count_no_value(layout.codes(frames))
         rate = 1.0 / (layout.sample_time * layout.samples)
         # a reader that was held up is no silence where the counter tells how many came
         counted = layout.counter_bits > 0
@@ -208,6 +233,8 @@ class CanSource(Source):
             self.health.count("pauses", placed.jumps, f"{layout.name}: no frames for {since:.3g} s")
         keep = np.repeat(placed.keep, layout.samples)
         number = (placed.number[:, None] * layout.samples + np.arange(layout.samples)).reshape(-1)
+        number += self._bases.get(layout.bus_id, 0)
+        self._newest[layout.bus_id] = int(number.max(initial=0))
         block = Block(
             layout.name, number[keep], {name: values[keep] for name, values in channels.items()}
         )
@@ -218,6 +245,10 @@ class CanSource(Source):
         for number, size in zip(values["fault"], values["size"], strict=True):
             if fault := layout.choices["fault"].get(int(number)):
                 self._sizes[fault] = float(size)
+
+
+def _place_of(layout: FrameLayout) -> SequenceCounter | ArrivalOrder:
+    return SequenceCounter(layout.counter_bits) if layout.counter_bits else ArrivalOrder()
 
 
 # ArrivalOrder: places of frames that carry no counter, as they come; a pause breaks them off.

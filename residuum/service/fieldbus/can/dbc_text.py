@@ -25,7 +25,7 @@ from cantools.database.errors import Error as DatabaseError
 _NAMED = re.compile(
     r"(?i)\b(sna|n/a|not avail\w*|unavailable|no value|signal invalid|invalid signal)\b"
 )
-_J1939 = "j1939"
+J1939 = "j1939"
 
 
 class NoValueCodes:
@@ -37,7 +37,7 @@ class NoValueCodes:
     """
 
     def __init__(self, message: Any) -> None:
-        j1939, extended = message.protocol == _J1939, bool(message.is_extended_frame)
+        j1939, extended = message.protocol == J1939, bool(message.is_extended_frame)
         pages = {signal.multiplexer_signal for signal in message.signals}
         self._spans = [
             (k, np.uint64(first), np.uint64(last))
@@ -45,6 +45,9 @@ class NoValueCodes:
             if signal.name not in pages and not signal.conversion.is_float
             for first, last in [*_reserved(signal, j1939, extended), *_named(signal)]
         ]
+
+    def __bool__(self) -> bool:
+        return bool(self._spans)
 
     def marked(self, raw: npt.NDArray[np.uint64]) -> npt.NDArray[np.bool_]:
         """Where a raw number, shape (n, signals), is one of them."""
@@ -198,7 +201,7 @@ _ENDS = ("CM_", "BA_", "VAL_", "SIG_", "SG_MUL", "EV_", "BO_TX")
 # Statements that say how a message is read, with its identifier.
 _CHANGES_VALUES = re.compile(
     r"(?:SIG_VALTYPE_|SG_MUL_VAL_)\s+(\d+)"
-    r'|BA_\s+"(?:SampleTime|GenMsgCycleTime|SamplesPerFrame|VFrameFormat)"\s+BO_\s+(\d+)'
+    r'|BA_\s+"(?:SampleTime|SourceAddress|GenMsgCycleTime|SamplesPerFrame|VFrameFormat)"\s+BO_\s+(\d+)'
 )
 
 

@@ -7,11 +7,15 @@ rolling, message or sequence counter. Every other signal is a channel with one s
 whatever its name; a multiplexed one is missing (NaN) in frames of other pages. Only where the
 message attribute `SamplesPerFrame` says so (more than 1) are signals named `x_00`, `x_01`, …
 successive samples of one channel `x`.
+
+A message of SAE J1939 (`VFrameFormat` J1939PG) is its parameter group, see `frame_matching`. The
+message attribute `SourceAddress` (0 to 253) names the device whose frames are meant.
 """
 
 from __future__ import annotations
 
 import re
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -21,8 +25,8 @@ import numpy.typing as npt
 from cantools.database.errors import Error as DatabaseError
 
 from residuum.identification.errors import BadInput
-from residuum.service.fieldbus.can.dbc_text import NoValueCodes, read_text
-from residuum.service.fieldbus.can.frame_batch import EXTENDED
+from residuum.service.fieldbus.can.dbc_text import J1939, NoValueCodes, read_text
+from residuum.service.fieldbus.can.frame_batch import EXTENDED, group_of, source_of
 from residuum.service.fieldbus.source import Samples, StreamFormat
 
 # SignalBits: where the signals of a CAN message lie in its frames; raw numbers and physical
@@ -158,6 +162,8 @@ def _span(start: int, length: int, byte_order: str) -> tuple[list[int], int]:
 COUNTER = "counter"
 NO_COUNTER = "no counter: losses cannot be seen"
 SAMPLES_PER_FRAME = "SamplesPerFrame"
+SOURCE_ADDRESS = "SourceAddress"
+_NOBODY = 254
 _FRAME_TIMES = (("SampleTime", 1.0), ("GenMsgCycleTime", 1e-3))
 _COUNTER_LIKE = re.compile(
     r"(.*_)?(alive|rolling|message|msg|sequence|seq|frame)_?(counter|count|cnt)", re.IGNORECASE
@@ -194,12 +200,15 @@ class FrameLayout:
     """
 
     def __init__(self, message: Any, where: str) -> None:
+        where = f"{where}, message {message.name}"
         self.name: str = message.name
         self.frame_id: int = message.frame_id
         self.is_extended: bool = message.is_extended_frame
         self.is_fd: bool = message.length > 8
+        self.is_j1939: bool = _is_j1939(message)
+        self.source_address = _source_address(message, where) if self.is_j1939 else None
+        """Of J1939: the only device whose frames these are; None for any."""
         self.length: int = message.length
-        where = f"{where}, message {message.name}"
         signals = list(message.signals)
         _refuse_misplaced(message, signals, where)
         self._names = [signal.name for signal in signals]
@@ -265,10 +274,27 @@ class FrameLayout:
         return self.frame_id | EXTENDED if self.is_extended else self.frame_id
 
     @property
+    def in_packets(self) -> str:
+        """Why no frame carries such a message whole; empty where one does."""
+        if not (self.is_j1939 and self.is_fd):
+            return ""
+        return (
+            f"has {self.length} bytes, which J1939 sends in packets (transport protocol): these are"
+            " not put together"
+        )
+
+    @property
+    def own_source(self) -> int:
+        """The source address in the identifier, of a message of J1939."""
+        return source_of(self.frame_id)
+
+    @property
     def why_no_stream(self) -> str:
         """Why frames of this message are no stream of samples; empty when they are one."""
         if not self._channels:
             return "carries no channel"
+        if self.in_packets:
+            return self.in_packets
         if not self.sample_time:
             has = "has a counter and" if self.counter_bits else "has"
             return (
@@ -318,6 +344,8 @@ class FrameLayout:
 
     def codes(self, frames: Bytes) -> dict[str, int]:
         """How many samples of each channel are codes for no value, of those that have some."""
+        if not self._codes:  # most messages: nothing to look for, frame by frame, on a fast bus
+            return {}
         raw = self._bits.raw(frames)
         is_code = self._codes.marked(raw) & self._multiplexing.carried(self._bits.values(raw))
         many = {name: int(is_code[:, members].sum()) for name, members in self._channels.items()}
@@ -379,6 +407,20 @@ def _attribute(message: Any, name: str) -> float | None:
     return float(attributes[name].value) if name in attributes else None
 
 
+def _is_j1939(message: Any) -> bool:
+    return bool(message.protocol == J1939 and message.is_extended_frame)
+
+
+def _source_address(message: Any, where: str) -> int | None:
+    address = _attribute(message, SOURCE_ADDRESS)
+    # 254 is the address of nobody, which files have in identifiers and as this attribute's default
+    if address is None or address == _NOBODY:
+        return None
+    if not (address.is_integer() and 0 <= address < _NOBODY):
+        raise BadBusDescription(f"{where}: {SOURCE_ADDRESS} is {address:g}; must be 0 to 253")
+    return int(address)
+
+
 def _frame_time(message: Any) -> float:
     """Seconds from one frame to the next; 0 where the file does not say it."""
     # an attribute of 0 is the default of files that do not use it
@@ -397,18 +439,23 @@ class BusMessages(dict[str, FrameLayout]):
         super().__init__()
         self.where = where
         self.unusable: dict[str, str] = {}
-        self._names: dict[int, str] = {}
+        self._names: dict[tuple[int, int | None], str] = {}
 
-    def add(self, message: Any) -> None:
-        """Take in one message of cantools."""
+    def add(self, message: Any, *, by_source: bool = False) -> None:
+        """Take in one message of cantools; `by_source` where source addresses alone tell its
+        J1939 group from another message's.
+        """
         try:
             layout = FrameLayout(message, self.where)
         except BadBusDescription as error:
             self.unusable[message.name] = str(error)
             return
-        owner = self._names.get(layout.bus_id, message.name if message.name in self else None)
+        if by_source and layout.source_address is None and layout.own_source != _NOBODY:
+            layout.source_address = layout.own_source
+        key = (group_of(layout.bus_id) if layout.is_j1939 else layout.bus_id, layout.source_address)
+        owner = self._names.get(key, message.name if message.name in self else None)
         if owner is None:
-            self[message.name], self._names[layout.bus_id] = layout, message.name
+            self[message.name], self._names[key] = layout, message.name
         else:
             self.unusable[message.name] = (
                 f"{self.where}, message {message.name}: has the name or identifier of {owner};"
@@ -438,9 +485,11 @@ def read_dbc(path: str | Path) -> BusMessages:
         messages.unusable[place] = (
             f"{where}, {place if ' ' in place else f'message {place}'}: {why}"
         )
-    for message in database.messages:
-        if message.signals and message.name not in left_out:
-            messages.add(message)
+    read = [m for m in database.messages if m.signals and m.name not in left_out]
+    groups = Counter(group_of(m.frame_id) for m in read if _is_j1939(m))
+    for message in read:
+        shared = _is_j1939(message) and groups[group_of(message.frame_id)] > 1
+        messages.add(message, by_source=shared)
     return messages
 
 

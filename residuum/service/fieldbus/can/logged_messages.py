@@ -4,7 +4,7 @@ even clock.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -12,13 +12,14 @@ import numpy as np
 import numpy.typing as npt
 
 from residuum.service.fieldbus.can.can_log import CanLog, TimedFrame
-from residuum.service.fieldbus.can.frame_batch import EXTENDED
+from residuum.service.fieldbus.can.frame_batch import EXTENDED, source_of
 from residuum.service.fieldbus.can.frame_layout import (
     BadBusDescription,
     BusMessages,
     Bytes,
     FrameLayout,
 )
+from residuum.service.fieldbus.can.frame_matching import FrameMatching, several_sources
 from residuum.service.fieldbus.source import Numbers, Samples
 
 # Part by which the time between frames may differ from the DBC file's and still be taken for it.
@@ -93,14 +94,20 @@ def logged_messages(
     Raises BadBusDescription when a message is on several buses of the log: which one is meant is
     not guessed.
     """
-    known = {layout.bus_id: layout for layout in messages.values()}
+    known = FrameMatching(messages.values())
     time, set_clock = on_one_clock(log.name, log.frames, known)
-    by_identifier: dict[int, list[TimedFrame]] = {}
+    by_sender: dict[int, list[TimedFrame]] = {}
     for frame, instant in zip(log.frames, time, strict=True):
-        by_identifier.setdefault(frame.frame_id, []).append(frame._replace(time=float(instant)))
+        by_sender.setdefault(known.sender(frame.frame_id), []).append(
+            frame._replace(time=float(instant))
+        )
     logged, unused = [], {}
-    for identifier, frames in by_identifier.items():
-        layout = known.get(identifier)
+    others = _other_sources(known, by_sender)
+    for sender, frames in by_sender.items():
+        layout, identifier = known.get(sender), frames[0].frame_id
+        if sender in others:
+            unused[f"{_shown(identifier)} ({others[sender]})"] = len(frames)
+            continue
         fitting = [] if layout is None else _of_layout(layout, frames)
         # one frame alone has no time to a next one, and so no clock
         if layout is not None and len(fitting) > 1:
@@ -111,6 +118,32 @@ def logged_messages(
     if logged and set_clock:
         logged[0] = replace(logged[0], remarks=[*set_clock, *logged[0].remarks])
     return logged, unused
+
+
+def _other_sources(known: FrameMatching, senders: Iterable[int]) -> dict[int, str]:
+    """Senders of J1939 messages that are not read, and why: another device is meant, or of several
+    nothing says which one.
+    """
+    by_name: dict[str, list[int]] = {}
+    for sender in senders:
+        layout = known.get(sender)
+        if layout is not None and layout.is_j1939 and layout.source_address is None:
+            by_name.setdefault(layout.name, []).append(sender)
+    others: dict[int, str] = {}
+    for found in by_name.values():
+        layout = known.get(found[0])
+        if layout is None or len(found) == 1:
+            continue
+        sources = [source_of(sender) for sender in found]
+        says = several_sources(layout, sources)
+        if layout.own_source in sources:
+            says = f"message {layout.name}: source address 0x{layout.own_source:02X} is read"
+        others |= {
+            sender: says
+            for sender, source in zip(found, sources, strict=True)
+            if source != layout.own_source
+        }
+    return others
 
 
 def _of_layout(layout: FrameLayout, frames: Sequence[TimedFrame]) -> list[TimedFrame]:
@@ -339,7 +372,7 @@ class _Stream:
 
 
 def on_one_clock(
-    name: str, frames: Sequence[TimedFrame], known: Mapping[int, FrameLayout]
+    name: str, frames: Sequence[TimedFrame], known: FrameMatching
 ) -> tuple[Samples, list[str]]:
     """The frames' times as if the clock had never been set, and what was found: a line each."""
     time = np.array([frame.time for frame in frames], dtype=float)
@@ -359,20 +392,21 @@ def on_one_clock(
     return time, remarks
 
 
-def _streams(
-    frames: Sequence[TimedFrame], time: Samples, known: Mapping[int, FrameLayout]
-) -> list[_Stream]:
+def _streams(frames: Sequence[TimedFrame], time: Samples, known: FrameMatching) -> list[_Stream]:
     places: dict[int, list[int]] = {}
     for place, frame in enumerate(frames):
-        if frame.frame_id in known and known[frame.frame_id].fits(len(frame.data)):
-            places.setdefault(frame.frame_id, []).append(place)
+        layout = known.get(frame.frame_id)
+        if layout is not None and layout.fits(len(frame.data)):
+            places.setdefault(known.sender(frame.frame_id), []).append(place)
     streams = []
-    for identifier, where in places.items():
+    for sender, where in places.items():
         steps = np.diff(time[where])
         # two frames have one step, which the clock itself may have made
         if len(where) < 3 or not (steps > 0).any():
             continue
-        layout, counter = known[identifier], None
+        layout, counter = known.get(sender), None
+        if layout is None:
+            continue
         if layout.counter_bits:
             counter = layout.decode(_bytes_of(layout, [frames[place] for place in where]))[0]
         period = layout.sample_time * layout.samples or float(np.median(steps[steps > 0]))

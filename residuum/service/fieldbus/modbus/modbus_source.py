@@ -236,9 +236,10 @@ class _PagedReader:
             + np.arange(len(whole) * self._stream.samples, dtype=np.int64)
         )
         self._next = first + len(whole)
-        self._source.deliver(
-            Block(self._name, number, self._stream.decode(np.concatenate(whole))), len(whole)
-        )
+        values = self._stream.decode(np.concatenate(whole))
+        none = {name: int(np.isnan(its).sum()) for name, its in values.items()}
+        self._source.count_no_value({name: count for name, count in none.items() if count})
+        self._source.deliver(Block(self._name, number, values), len(whole))
 
     async def _read_pages(
         self, client: CheckedModbusClient, first: int, end: int, whole: list[Registers]
@@ -346,7 +347,9 @@ class _PolledReader:
         # also where some registers were refused: their channels are missing in this sample
         self._last = number
         values = self._polled.samples(read)
-        self._doubtful.look(readings_of(self._name, self._stream, self._polled, read, values))
+        readings = readings_of(self._name, self._stream, self._polled, read, values)
+        self._source.count_no_value({r.channel: 1 for r in readings if r.remark == MISSING})
+        self._doubtful.look(readings)
         self._source.health.doubts[self._name] = self._doubtful.sentences
         self._source.deliver(Block(self._name, np.array([number], np.int64), values), 1)
 

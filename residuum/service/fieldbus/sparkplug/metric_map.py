@@ -26,8 +26,7 @@ from typing import Literal
 import yaml
 from pydantic import Field
 
-from residuum.service.broker import BrokerAddress, BrokerTls, broker_address, with_hidden_password
-from residuum.service.fieldbus.can.frame_layout import BadBusDescription
+from residuum.service.fieldbus.broker_map import BrokerMap
 from residuum.service.fieldbus.map_text import read_map
 from residuum.service.fieldbus.source import StreamFormat
 from residuum.service.fieldbus.strict_model import StrictModel
@@ -63,22 +62,11 @@ class StreamMetrics(StrictModel):
         )
 
 
-class MetricMap(StrictModel):
+class MetricMap(BrokerMap):
     """An edge node and the streams of its metrics."""
 
     node: str = Field(pattern=rf"^{NAME}/{NAME}$")
     streams: dict[str, StreamMetrics] = Field(min_length=1)
-    tls: BrokerTls | None = None
-
-    def entered(self, url: str) -> BrokerAddress:
-        """The broker at an address, entered as the map says; BadInput where that cannot be."""
-        try:
-            address = broker_address(url, self.tls)
-        except ValueError as error:
-            raise BadBusDescription(f"{with_hidden_password(url)}: {error}") from None
-        if address.tls is not None:
-            address.tls.context()  # what is wrong with its files is told here, not in a thread
-        return address
 
     @property
     def group(self) -> str:

@@ -10,21 +10,16 @@ no samples.
 from __future__ import annotations
 
 import math
-import queue
-import sys
-import threading
 import time
 from collections.abc import Iterable, Sequence
-from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import Any
 
-import paho.mqtt.client as mqtt
-
 from residuum.nearest_names import nearest_names
 from residuum.service.broker import BrokerAddress
+from residuum.service.fieldbus.broker_source import CONNECTED, LOST, Arrived, BrokerSource
 from residuum.service.fieldbus.health import SourceHealth
-from residuum.service.fieldbus.source import Backoff, Sink, Source, StreamFormat
+from residuum.service.fieldbus.source import Backoff, Sink, StreamFormat
 from residuum.service.fieldbus.sparkplug.metric_map import MetricMap
 from residuum.service.fieldbus.sparkplug.sparkplug_payload import (
     BOOLEAN,
@@ -261,17 +256,10 @@ class NodeSession:
 
 NAMESPACE = "spBv1.0"
 REBIRTH = "Node Control/Rebirth"
-# [s] For which a message is waited for before samples are handed on.
-_TICK = 0.05
-# [s] After which the client asks a silent broker whether it is there.
-_KEEP_ALIVE = 20
-_CONNECTED, _LOST = "connected", "lost"
-# Messages that wait, and that are taken in one turn.
-_MOST_WAITING, _A_TURN = 10_000, 1000
 _OF_A_NODE = ("NBIRTH", "NDEATH", "NDATA", "DBIRTH", "DDEATH", "DDATA")
 
 
-class SparkplugSource(Source):
+class SparkplugSource(BrokerSource):
     """Streams that a metric map describes, of one edge node.
 
     Parameters
@@ -287,8 +275,14 @@ class SparkplugSource(Source):
     def __init__(
         self, address: BrokerAddress, metrics: MetricMap, sink: Sink, patience: float = 1.0
     ) -> None:
-        super().__init__(f"sparkplug:{address.host}:{address.port}/{metrics.node}", sink)
-        self._address, self._map = address, metrics
+        super().__init__(
+            f"sparkplug:{address.host}:{address.port}/{metrics.node}",
+            address,
+            [f"{NAMESPACE}/{metrics.group}/+/{metrics.edge_node}/#"],
+            f"node {metrics.node}",
+            sink,
+        )
+        self._map = metrics
         self._samples = {
             name: StampedSamples(spec.format(name), self.health)
             for name, spec in metrics.streams.items()
@@ -299,9 +293,6 @@ class SparkplugSource(Source):
             if spec.reports == "changes"
         }
         self._session = NodeSession(self.health, patience)
-        self._arrived: queue.Queue[tuple[str, bytes, float]] = queue.Queue(_MOST_WAITING)
-        self._connected, self._overflown = threading.Event(), threading.Event()
-        self._opened_before = False
         self._known: dict[str, dict[str | int, tuple[str, int]]] = {}
         """Device → name or alias → (name, data type), from its birth."""
         self._backoff, self._ask_at = Backoff(first=1.0, longest=30.0), math.inf
@@ -311,82 +302,16 @@ class SparkplugSource(Source):
         """The streams of the metric map."""
         return [samples.format for samples in self._samples.values()]
 
-    def _run(self) -> None:
-        client = self._client()
-        try:
-            while not self._stopped.is_set():
-                self._take_what_arrived()
-                now = time.monotonic()
-                for message in self._session.ready(now):
-                    self._believe(message, now)
-                if self._session.gap(now):
-                    self._forget()
-                self._ask_for_birth(client, now)
-                self._hand_on(now)
-        finally:
-            client.disconnect()
-            client.loop_stop()
+    def _turn(self, client: Any, now: float) -> None:
+        for message in self._session.ready(now):
+            self._believe(message, now)
+        if self._session.gap(now):
+            self._forget()
+        self._ask_for_birth(client, now)
+        self._hand_on(now)
 
-    def _client(self) -> mqtt.Client:
-        client: mqtt.Client = self._address.client()
-        client.reconnect_delay_set(1, 5)
-        client.on_connect, client.on_connect_fail = self._on_connect, self._on_connect_fail
-        client.on_subscribe, client.on_disconnect = self._on_subscribe, self._on_disconnect
-        client.on_message = lambda _client, _data, message: self._wait(
-            message.topic, bytes(message.payload)
-        )
-        client.connect_async(self._address.host, self._address.port, keepalive=_KEEP_ALIVE)
-        client.loop_start()
-        return client
-
-    def _on_connect(
-        self, client: Any, _data: Any, _flags: Any, reason: Any, _properties: Any
-    ) -> None:
-        if reason.is_failure:
-            self.health.count("bus_errors", 1, f"the broker refuses the connection: {reason}")
-            return
-        client.subscribe(f"{NAMESPACE}/{self._map.group}/+/{self._map.edge_node}/#", 1)
-
-    def _on_connect_fail(self, *_: Any) -> None:
-        self.health.count("bus_errors", 1, f"the broker does not let us in: {sys.exception()}")
-
-    def _on_subscribe(self, *_: Any) -> None:
-        if self._opened_before:
-            self.health.count("reconnects")
-        self._opened_before = True
-        self._connected.set()
-        self._wait(_CONNECTED, b"")
-
-    def _on_disconnect(self, *_: Any) -> None:
-        self._connected.clear()
-        self._wait(_LOST, b"")
-
-    def _wait(self, topic: str, content: bytes) -> None:
-        """In the network thread, which never waits: a message without room is dropped."""
-        try:
-            self._arrived.put_nowait((topic, content, time.monotonic()))
-        except queue.Full:
-            self.health.count(
-                "overflow", 1, f"node {self._map.node}: messages come faster than they are read"
-            )
-            self._overflown.set()
-
-    def _take_what_arrived(self) -> None:
-        """What waits, up to a turn's share; for a tick when nothing does."""
-        if self._overflown.is_set():
-            self._break_off_after_overflow()
-        with suppress(queue.Empty):
-            self._take(*self._arrived.get(timeout=_TICK))
-            for _ in range(_A_TURN - 1):
-                self._take(*self._arrived.get_nowait())
-
-    def _break_off_after_overflow(self) -> None:
-        """What waits has a hole behind it: it goes, and the node has to be born again."""
-        self._overflown.clear()
-        with suppress(queue.Empty):
-            for _ in range(_MOST_WAITING):
-                self._arrived.get_nowait()
-                self.health.count("overflow")
+    def _broken_off(self) -> None:
+        """The node has to be born again."""
         self._session.break_off()
         self._forget()
         if not self._connected.is_set():
@@ -394,11 +319,12 @@ class SparkplugSource(Source):
         elif self._ask_at == math.inf:
             self._ask_at = time.monotonic()
 
-    def _take(self, topic: str, content: bytes, now: float) -> None:
-        if topic in (_CONNECTED, _LOST):
+    def _take(self, message: Arrived) -> None:
+        topic, content, now, _ = message
+        if topic in (CONNECTED, LOST):
             self._session.break_off()
             self._forget()
-            self._ask_at = now if topic == _CONNECTED else math.inf
+            self._ask_at = now if topic == CONNECTED else math.inf
             return
         kind, device = kind_and_device(topic)
         if kind not in _OF_A_NODE:
@@ -514,7 +440,7 @@ class SparkplugSource(Source):
             if device is None or self._map.streams[stream].device == device:
                 changes.forget()
 
-    def _ask_for_birth(self, client: mqtt.Client, now: float) -> None:
+    def _ask_for_birth(self, client: Any, now: float) -> None:
         # while all is well: the moment at which a gap would be found, so that it is asked at once
         if self._session.in_step:
             self._ask_at = now

@@ -1,0 +1,1 @@
+"""Plain JSON messages over MQTT: values of them as channels."""

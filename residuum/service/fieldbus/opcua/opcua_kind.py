@@ -1,0 +1,65 @@
+"""OPC UA as a kind of source."""
+
+from __future__ import annotations
+
+import socket
+import urllib.parse
+from importlib import import_module
+
+from residuum.service.fieldbus.can.frame_layout import BadBusDescription
+from residuum.service.fieldbus.opcua.node_map import read_node_map
+from residuum.service.fieldbus.source import Sink, Source
+from residuum.service.fieldbus.source_kind import Address, SourceKind, Wrong, text_of_map
+
+# Of an address that says none: the port registered for OPC UA.
+_PORT = 4840
+
+
+def _open(source: Address, sink: Sink) -> Source:
+    """Imported when it is opened: the library is an extra."""
+    nodes = read_node_map(source.map_file)
+    try:
+        opened: Source = import_module("residuum.service.fieldbus.opcua.opcua_source").OpcuaSource(
+            source.channel, nodes, sink
+        )
+    except ModuleNotFoundError:
+        raise BadBusDescription(
+            "an OPC UA source needs the extra `opcua`: pip install 'residuum[opcua]'"
+        ) from None
+    return opened
+
+
+def _check(source: Address) -> None:
+    if not source.channel.startswith("opc.tcp://"):
+        raise ValueError(
+            "an OPC UA source needs a channel, for example opc.tcp://192.168.0.10:4840"
+        )
+
+
+def _look(source: Address, seconds: float) -> str:
+    """A connection alone: whether the nodes are there shows when the service reads them."""
+    streams = len(read_node_map(source.map_file).streams)
+    url = urllib.parse.urlsplit(source.channel)
+    host, port = url.hostname or "", url.port or _PORT
+    address = f"{host}:{port}"
+    try:
+        socket.create_connection((host, port), timeout=seconds).close()
+    except OSError as error:
+        raise Wrong(f"{address}: no connection: {error}") from None
+    return f"{address} accepts connections; {source.map} has {streams} streams"
+
+
+OPCUA = SourceKind(
+    called="OPC UA",
+    open=_open,
+    map_called="node map (OPC UA)",
+    asked="OPC UA server, for example opc.tcp://192.168.0.10:4840.",
+    example="opc.tcp://host:4840",
+    texts={"nodes": text_of_map("a map of OPC UA's nodes", read_node_map)},
+    check=_check,
+    look=_look,
+    template=(
+        '- {kind: opcua, channel: "opc.tcp://192.168.0.10:4840", map: nodes.yaml}  ',
+        "map: `residuum opcua browse`",
+    ),
+)
