@@ -11,8 +11,8 @@ from residuum.identification.errors import BadInput
 from residuum.service.fieldbus import SOURCES
 from residuum.service.fieldbus.can.can_bus import open_bus
 from residuum.service.fieldbus.can.can_record import read_can_record
-from residuum.service.fieldbus.can.frame_batch import EXTENDED, group_of
-from residuum.service.fieldbus.can.frame_layout import read_dbc
+from residuum.service.fieldbus.can.frame_batch import EXTENDED
+from residuum.service.fieldbus.can.frame_layout import group_of, read_dbc
 from residuum.service.fieldbus.sequence import BREAK
 from residuum.service.fieldbus.settings import SourceSettings
 

@@ -13,8 +13,8 @@ from residuum.identification.record import Record
 from residuum.identification.record_formats.even_time import resampled, resampling
 from residuum.identification.record_formats.options import ReadOptions
 from residuum.service.fieldbus.can.can_log import CanLog, read_can_log
-from residuum.service.fieldbus.can.frame_batch import EXTENDED, group_of
-from residuum.service.fieldbus.can.frame_layout import BusMessages, read_dbc
+from residuum.service.fieldbus.can.frame_batch import EXTENDED
+from residuum.service.fieldbus.can.frame_layout import BusMessages, group_of, read_dbc
 from residuum.service.fieldbus.can.logged_messages import LoggedMessage, logged_messages
 from residuum.service.fieldbus.settings import map_file
 from residuum.service.fieldbus.source import Samples

@@ -10,8 +10,13 @@ import numpy as np
 import numpy.typing as npt
 
 from residuum.service.fieldbus.can.can_bus import CanBus, open_bus
-from residuum.service.fieldbus.can.frame_batch import FrameBatch, source_of
-from residuum.service.fieldbus.can.frame_layout import BadBusDescription, BusMessages, FrameLayout
+from residuum.service.fieldbus.can.frame_batch import FrameBatch
+from residuum.service.fieldbus.can.frame_layout import (
+    BadBusDescription,
+    BusMessages,
+    FrameLayout,
+    source_of,
+)
 from residuum.service.fieldbus.can.frame_matching import FrameMatching, several_sources
 from residuum.service.fieldbus.sequence import BREAK, Placed, SequenceCounter
 from residuum.service.fieldbus.source import (

@@ -61,25 +61,3 @@ class FrameBatchBuilder:
                 np.frombuffer(b"".join(data), np.uint8).reshape(len(data), length)
             )
         return FrameBatch(frames, self.errors, self.undecodable)
-
-
-# J1939 identifiers have 29 bits (SAE J1939-21): priority 3, extended data page 1, data page 1, PDU
-# format (PF) 8, PDU specific (PS) 8, source address 8. PS belongs to the parameter group where PF
-# is at least 240; below that it is the destination.
-
-_FIRST_BROADCAST = 240
-
-
-def group_of(identifier: int) -> int:
-    """The parameter group number of an extended frame.
-
-    >>> hex(group_of(0x0CF00417)), hex(group_of(0x18EA2103))
-    ('0xf004', '0xea00')
-    """
-    group = identifier >> 8 & 0x3FFFF
-    return group if group >> 8 & 0xFF >= _FIRST_BROADCAST else group & 0x3FF00
-
-
-def source_of(identifier: int) -> int:
-    """The source address of an extended frame."""
-    return identifier & 0xFF

@@ -6,8 +6,8 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-from residuum.service.fieldbus.can.frame_batch import EXTENDED, group_of, source_of
-from residuum.service.fieldbus.can.frame_layout import FrameLayout
+from residuum.service.fieldbus.can.frame_batch import EXTENDED
+from residuum.service.fieldbus.can.frame_layout import FrameLayout, group_of, source_of
 
 
 class FrameMatching:

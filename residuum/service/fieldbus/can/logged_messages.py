@@ -12,12 +12,13 @@ import numpy as np
 import numpy.typing as npt
 
 from residuum.service.fieldbus.can.can_log import CanLog, TimedFrame
-from residuum.service.fieldbus.can.frame_batch import EXTENDED, source_of
+from residuum.service.fieldbus.can.frame_batch import EXTENDED
 from residuum.service.fieldbus.can.frame_layout import (
     BadBusDescription,
     BusMessages,
     Bytes,
     FrameLayout,
+    source_of,
 )
 from residuum.service.fieldbus.can.frame_matching import FrameMatching, several_sources
 from residuum.service.fieldbus.source import Numbers, Samples
