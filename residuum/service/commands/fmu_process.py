@@ -8,13 +8,10 @@ import os
 import signal
 import subprocess
 import sys
-from typing import Any
 
 from residuum.identification.errors import BadModel
 from residuum.identification.physics.fmu.parameter_file import named
 from residuum.library.model import Model, model
-from residuum.library.monitor import MODEL_BASED
-from residuum.library.questions.score import Train
 from residuum.service.cli import names_fmu
 
 INSIDE = "RESIDUUM_FMU_PROCESS"
@@ -72,17 +69,3 @@ def model_for(name: str) -> Model:
 
         return fmu(name)
     return model(name)
-
-
-def settings_for(diagnoser: str, asked: Train) -> dict[str, Any]:
-    """The settings of a diagnoser that a command trains; in this process with an FMU for a model,
-    too.
-    """
-    settings = asked.settings
-    name = settings.get("model")
-    if diagnoser != MODEL_BASED or name is None or not (is_inside() and names_fmu(name)):
-        return settings
-    # loads what compiles, for FMUs alone
-    from residuum.identification.physics.fmu.watched_model import watched_model  # noqa: PLC0415
-
-    return settings | {"model": watched_model(named(name))}

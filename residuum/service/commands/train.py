@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import typer
 
@@ -12,11 +12,14 @@ from residuum.diagnosis.diagnosers.base import Diagnoser
 from residuum.diagnosis.diagnosers.gate_actuator import GateActuator
 from residuum.diagnosis.learning.labels_file import read_labels
 from residuum.identification.errors import BadInput
+from residuum.identification.physics.fmu.parameter_file import named
 from residuum.identification.record import Record
 from residuum.library.answers.validation import validated, validation_says
+from residuum.library.monitor import MODEL_BASED
 from residuum.library.questions.score import Train
+from residuum.service.cli import names_fmu
 from residuum.service.commands.asked import asks
-from residuum.service.commands.fmu_process import settings_for
+from residuum.service.commands.fmu_process import is_inside
 from residuum.service.commands.output_file import check_output_file
 from residuum.service.commands.records import Reading, RecordFiles, reads
 from residuum.service.commands.report import AsJson, report
@@ -52,7 +55,7 @@ def train(
 ) -> None:
     """Train a diagnoser on records and store it for `score --baseline`."""
     kind = diagnoser_class(diagnoser)
-    settings = settings_for(diagnoser, asked)
+    settings = _settings_for(diagnoser, asked)
     judge = untrained(kind, **settings)
     # Before the records are read and learned from: a mistyped folder must not cost the training.
     check_output_file(out)
@@ -94,6 +97,18 @@ def train(
         ]
     )
     report(result | learned, human, as_json=as_json)
+
+
+def _settings_for(diagnoser: str, asked: Train) -> dict[str, Any]:
+    """The settings of the diagnoser; in a process that may load an FMU, that for a model, too."""
+    settings = asked.settings
+    name = settings.get("model")
+    if diagnoser != MODEL_BASED or name is None or not (is_inside() and names_fmu(name)):
+        return settings
+    # loads what compiles, for FMUs alone
+    from residuum.identification.physics.fmu.watched_model import watched_model  # noqa: PLC0415
+
+    return settings | {"model": watched_model(named(name))}
 
 
 @dataclass(frozen=True)

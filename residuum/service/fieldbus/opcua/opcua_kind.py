@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import socket
+import asyncio
 import urllib.parse
 from importlib import import_module
 
@@ -43,10 +43,15 @@ def _look(source: Address, seconds: float) -> str:
     host, port = url.hostname or "", url.port or _PORT
     address = f"{host}:{port}"
     try:
-        socket.create_connection((host, port), timeout=seconds).close()
+        asyncio.run(asyncio.wait_for(_connect(host, port), seconds))
     except OSError as error:
-        raise Wrong(f"{address}: no connection: {error}") from None
+        raise Wrong(f"{address}: no connection: {error or 'timed out'}") from None
     return f"{address} accepts connections; {source.map} has {streams} streams"
+
+
+async def _connect(host: str, port: int) -> None:
+    _, writer = await asyncio.open_connection(host, port)
+    writer.close()
 
 
 OPCUA = SourceKind(
