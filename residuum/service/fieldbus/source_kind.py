@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from importlib import import_module
 from pathlib import Path
 from typing import Any, Protocol
 
 from residuum.service.broker import BrokerAddress, broker_address, try_connection
+from residuum.service.fieldbus.can.frame_layout import BadBusDescription
 from residuum.service.fieldbus.source import Sink, Source, StreamFormat
 
 
@@ -115,6 +117,18 @@ class SourceKind:
     def __call__(self, settings: Address, sink: Sink) -> Source:
         """Open a source of this kind."""
         return self.open(settings, sink)
+
+
+def of_extra(module: str, called: str, extra: str) -> Any:
+    """The module of a source whose library is an extra, imported when one is opened;
+    BadBusDescription where it is not installed.
+    """
+    try:
+        return import_module(module)
+    except ModuleNotFoundError:
+        raise BadBusDescription(
+            f"{called} needs the extra `{extra}`: pip install 'residuum[{extra}]'"
+        ) from None
 
 
 def text_of_map(called: str, read: Callable[[Path], Any]) -> BusText:

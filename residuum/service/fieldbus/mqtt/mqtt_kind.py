@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-from importlib import import_module
-
-from residuum.service.fieldbus.can.frame_layout import BadBusDescription
 from residuum.service.fieldbus.mqtt.topic_map import read_topic_map
 from residuum.service.fieldbus.source import Sink, Source
 from residuum.service.fieldbus.source_kind import (
@@ -12,19 +9,14 @@ from residuum.service.fieldbus.source_kind import (
     SourceKind,
     broker_look,
     check_broker,
+    of_extra,
     text_of_map,
 )
 
 
 def _open(source: Address, sink: Sink) -> Source:
-    """Imported when it is opened: the library is an extra."""
     topics = read_topic_map(source.map_file)
-    try:
-        module = import_module("residuum.service.fieldbus.mqtt.mqtt_source")
-    except ModuleNotFoundError:
-        raise BadBusDescription(
-            "an MQTT source needs the extra `mqtt`: pip install 'residuum[mqtt]'"
-        ) from None
+    module = of_extra("residuum.service.fieldbus.mqtt.mqtt_source", "an MQTT source", "mqtt")
     opened: Source = module.MqttSource(topics.entered(source.channel), topics, sink)
     return opened
 

@@ -4,28 +4,25 @@ from __future__ import annotations
 
 import asyncio
 import urllib.parse
-from importlib import import_module
 
-from residuum.service.fieldbus.can.frame_layout import BadBusDescription
 from residuum.service.fieldbus.opcua.node_map import read_node_map
 from residuum.service.fieldbus.source import Sink, Source
-from residuum.service.fieldbus.source_kind import Address, SourceKind, Wrong, text_of_map
+from residuum.service.fieldbus.source_kind import (
+    Address,
+    SourceKind,
+    Wrong,
+    of_extra,
+    text_of_map,
+)
 
 # Of an address that says none: the port registered for OPC UA.
 _PORT = 4840
 
 
 def _open(source: Address, sink: Sink) -> Source:
-    """Imported when it is opened: the library is an extra."""
     nodes = read_node_map(source.map_file)
-    try:
-        opened: Source = import_module("residuum.service.fieldbus.opcua.opcua_source").OpcuaSource(
-            source.channel, nodes, sink
-        )
-    except ModuleNotFoundError:
-        raise BadBusDescription(
-            "an OPC UA source needs the extra `opcua`: pip install 'residuum[opcua]'"
-        ) from None
+    module = of_extra("residuum.service.fieldbus.opcua.opcua_source", "an OPC UA source", "opcua")
+    opened: Source = module.OpcuaSource(source.channel, nodes, sink)
     return opened
 
 

@@ -2,29 +2,22 @@
 
 from __future__ import annotations
 
-from importlib import import_module
-
-from residuum.service.fieldbus.can.frame_layout import BadBusDescription
 from residuum.service.fieldbus.source import Sink, Source
 from residuum.service.fieldbus.source_kind import (
     Address,
     SourceKind,
     broker_look,
     check_broker,
+    of_extra,
     text_of_map,
 )
 from residuum.service.fieldbus.sparkplug.metric_map import read_metric_map
 
 
 def _open(source: Address, sink: Sink) -> Source:
-    """Imported when it is opened: the libraries are an extra."""
     metrics = read_metric_map(source.map_file)
-    try:
-        module = import_module("residuum.service.fieldbus.sparkplug.sparkplug_source")
-    except ModuleNotFoundError:
-        raise BadBusDescription(
-            "a Sparkplug source needs the extra `sparkplug`: pip install 'residuum[sparkplug]'"
-        ) from None
+    place = "residuum.service.fieldbus.sparkplug.sparkplug_source"
+    module = of_extra(place, "a Sparkplug source", "sparkplug")
     opened: Source = module.SparkplugSource(metrics.entered(source.channel), metrics, sink)
     return opened
 
