@@ -7,7 +7,7 @@ is inexact.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -155,38 +155,28 @@ def following(model: PhysicalModel, names: Sequence[str]) -> PhysicalModel:
             "free",
             f"the model has no parameter of this name; {known_names(unknown[0], known)}",
         )
-    held_ones = held(model, [name for name in known if name not in names])
-    effects = tuple(
-        replace(use, parameters=_freed(use.parameters, names, f"{use.label}."))
-        for use in held_ones.effects
-    )
-    return replace(held_ones, parameters=_freed(held_ones.parameters, names), effects=effects)
-
-
-def _freed(
-    parameters: Mapping[str, Parameter], names: Sequence[str], prefix: str = ""
-) -> dict[str, Parameter]:
-    return {
-        name: replace(p, fixed=p.fixed and prefix + name not in names)
-        for name, p in parameters.items()
-    }
+    return _with_fixed(model, lambda name, _held: name not in names)
 
 
 def held(model: PhysicalModel, names: Sequence[str]) -> PhysicalModel:
     """The model with these values, by full name, no longer free."""
+    return _with_fixed(model, lambda name, held: held or name in names)
+
+
+def _with_fixed(model: PhysicalModel, fixed: Callable[[str, bool], bool]) -> PhysicalModel:
+    """The model with the values held of which `fixed` says so, given the full name of each and
+    whether it is held.
+    """
+
+    def settled(parameters: Mapping[str, Parameter], prefix: str = "") -> dict[str, Parameter]:
+        return {
+            name: replace(p, fixed=fixed(prefix + name, p.fixed)) for name, p in parameters.items()
+        }
+
     effects = tuple(
-        replace(use, parameters=_fixed(use.parameters, names, f"{use.label}."))
-        for use in model.effects
+        replace(use, parameters=settled(use.parameters, f"{use.label}.")) for use in model.effects
     )
-    return replace(model, parameters=_fixed(model.parameters, names), effects=effects)
-
-
-def _fixed(
-    parameters: Mapping[str, Parameter], names: Sequence[str], prefix: str = ""
-) -> dict[str, Parameter]:
-    return {
-        name: replace(p, fixed=p.fixed or prefix + name in names) for name, p in parameters.items()
-    }
+    return replace(model, parameters=settled(model.parameters), effects=effects)
 
 
 def evenly(windows: int, count: int) -> list[int]:
