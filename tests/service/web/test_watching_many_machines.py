@@ -409,6 +409,28 @@ def test_a_comment_goes_with_either_button(guarded, open_page):
     expect(page.locator(".alarm")).to_contain_text("acknowledged by eva-operator: bearing changed")
 
 
+def test_a_comment_that_is_begun_while_the_alarm_is_being_acknowledged_is_kept(
+    with_alarms, open_page
+):
+    page = open_page(f"{with_alarms.url}/#/machines/press")
+    held = []
+
+    def hold(route):
+        held.append(route)
+
+    page.route("**/acknowledge", hold)
+    page.get_by_role("button", name="Acknowledge the alarm of press").click()
+    page.get_by_text("Comment …").click()
+    page.get_by_label("Comment on the alarm of press").fill("waits for")
+    with page.expect_response("**/acknowledge"):
+        held[0].continue_()
+    # acknowledged and drawn again, the form is still there with what was typed
+    with_alarms.services.store.add_window("press", RECORD, finding(1.7, "RMS 1.7 of the press"))
+    expect(page.locator(".alarm")).to_contain_text(re.compile("acknowledged by .*"))
+    expect(page.locator("main")).to_contain_text("RMS 1.7 of the press")
+    expect(page.get_by_label("Comment on the alarm of press")).to_have_value("waits for")
+
+
 def test_an_acknowledged_alarm_is_shelved_for_a_while_with_its_reason_suppressed_and_brought_back(
     with_alarms, open_page, legible
 ):

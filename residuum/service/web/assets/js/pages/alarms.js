@@ -10,9 +10,10 @@ const asked = new Set(); // alarms whose operation is under way: pressing twice 
 async function operate(alarm, verb, body) {
   if (asked.has(alarm.id)) return;
   asked.add(alarm.id);
+  const sent = drafts.get(alarm.id);
   try {
     await call(path("alarms", alarm.id, verb), { method: "POST", body });
-    drafts.delete(alarm.id);
+    if (drafts.get(alarm.id) === sent) drafts.delete(alarm.id); // a comment begun since then is not this operation's
   } catch (problem) {
     notify(problem.message);
   } finally {
