@@ -232,6 +232,7 @@ def _candidate_json(candidate: Candidate) -> dict[str, Any]:
         "balance": candidate.balance,
         "probability": candidate.probability,
         "indistinguishable_from": list(candidate.indistinguishable_from),
+        "rivals": list(candidate.rivals),
         "parameters": quantities_json(candidate.parameters),
         "error_before": candidate.error_before,
         "error_after": candidate.error_after,
@@ -258,11 +259,7 @@ def _because(candidate: Candidate) -> str:
             " model without it"
         )
     share = f"{100 * candidate.share.value:.0f} ± {100 * candidate.share.std:.0f} %"
-    alike = (
-        f"; {' or '.join(candidate.indistinguishable_from)} would do as well"
-        if candidate.indistinguishable_from
-        else ""
-    )
+    alike = f"; {' or '.join(candidate.rivals)} would do as well" if candidate.alike else ""
     return (
         f"{candidate.effect} at {candidate.balance} takes away {share} of the error's power on"
         f" blocks kept aside{alike}"
@@ -290,11 +287,7 @@ def _candidate_text(candidate: Candidate) -> str:
         f"{candidate.error_before:.4g} → {candidate.error_after:.4g} {candidate.error_unit}"
     )
     bounds = "" if candidate.within_bounds else "; at a physical bound"
-    rivals = (
-        f"; not to be told from {', '.join(candidate.indistinguishable_from)}"
-        if candidate.indistinguishable_from
-        else ""
-    )
+    rivals = f"; not to be told from {', '.join(candidate.rivals)}" if candidate.alike else ""
     return text + bounds + rivals
 
 
