@@ -10,11 +10,12 @@ from typing import Any
 import numpy as np
 
 from residuum.array_types import FloatArray
-from residuum.identification.discrepancy.explain import EstimatedValue, Explanation, HeldValue
+from residuum.identification.discrepancy.explain import EstimatedValue, Explanation
 from residuum.identification.errors import said
 from residuum.identification.physics.model import place_of, tied_to
 from residuum.identification.residual_analysis.policy import SLOW
 from residuum.identification.unseen_blocks.free_term import BlockTerm, nearest_formula
+from residuum.identification.unseen_blocks.structure import HeldValue
 from residuum.identification.unseen_blocks.verdict import (
     BlockErrors,
     Candidate,
@@ -299,9 +300,14 @@ def held_text(held: HeldValue) -> str:
         else ""
     )
     asked, way_on = value_text(held.value, held.std, held.unit), said("free", [held.name])
+    against = (
+        f"as much as {' and '.join(held.as_much_as)}"
+        if held.as_much_as
+        else "more than an effect would"
+    )
     return (
         f"  {held.name} is fixed at {held.held:.4g} {held.unit}; the records ask for {asked}, which"
-        f" explains more than an effect would{alike}: improve with {way_on} takes it up"
+        f" explains {against}{alike}: improve with {way_on} takes it up"
     )
 
 

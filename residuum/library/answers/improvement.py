@@ -68,8 +68,8 @@ def improvement_text(improvement: Improvement, file: str | None) -> str:
         f"  {step_text(step)}: {step.error:.4g} {improvement.error_unit}"
         for step in improvement.history
     ]
-    lines += [_effect_text(use, improvement) for use in improvement.added]
     lines += [] if improvement.explanation is None else map(held_text, improvement.explanation.held)
+    lines += [_effect_text(use, improvement) for use in improvement.added]
     if improvement.refused:
         lines.append(
             "  not added, for the error on held-out data would rise:"

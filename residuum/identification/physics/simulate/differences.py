@@ -57,6 +57,8 @@ def central(run: Run, value: float, step: float, bounds: tuple[float, float]) ->
     >>> import numpy as np
     >>> central(lambda v: np.array([[v**2]]), 3.0, 1e-3, (0.0, 9.0)).round(9)
     array([[6.]])
+    >>> central(lambda v: np.array([[np.inf, 2.0 * v]]), 3.0, 1e-3, (0.0, 9.0)).round(9)
+    array([[nan,  2.]])
     """
     low = max(value - step, bounds[0])
     high = min(value + step, bounds[1])
@@ -69,7 +71,11 @@ def central(run: Run, value: float, step: float, bounds: tuple[float, float]) ->
     elif not np.isfinite(above).all():
         high = value
         above = run(value)
-    return (above - below) / (high - low)
+    # What runs to infinity on both sides, or has no side left, has no slope.
+    known = np.isfinite(above) & np.isfinite(below) & (high > low)
+    slope = np.full(above.shape, np.nan)
+    slope[known] = (above[known] - below[known]) / (high - low)
+    return slope
 
 
 def chosen_step(run: Run, value: float, size: float, bounds: tuple[float, float]) -> Step:

@@ -299,7 +299,7 @@ def missing_terms(
 
 def _log_likelihood(experiment: Experiment, e: Array, V: Array) -> float:
     used = np.isfinite(e)
-    # A reading without an innovation: the filter diverged before it.
-    if int(used.sum()) < int(np.isfinite(experiment.Y).sum()):
+    # A reading without an innovation, or with a variance that is none: the filter diverged before it.
+    if int(used.sum()) < int(np.isfinite(experiment.Y).sum()) or not (V[used] > 0.0).all():
         return -np.inf
     return float(-0.5 * np.sum(e[used] ** 2 / V[used] + np.log(2.0 * np.pi * V[used])))

@@ -137,6 +137,9 @@ function looksLike({ suggestion: formula, unit, axis }) {
   return ` It looks like ${localised(formula.formula)} ${unitText(unit)}, z = ${axis} ÷ ${number(formula.largest)}.`;
 }
 
+const asMuchAs = ({ as_much_as: effects }) =>
+  effects.length ? `as much as ${effects.map(placed).join(" and ")}` : "more than an effect would";
+
 // What else the record says: further effects, terms outside the catalogue, drift, and how the record was taken.
 function notes(explanation, effects) {
   const titled = (id) => effects.get(id)?.title ?? id;
@@ -151,7 +154,7 @@ function notes(explanation, effects) {
     ...explanation.held_values.map(
       (each) =>
         `${each.name} is fixed at ${number(each.held)} ${unitText(each.unit)}; the record asks for ${measured(each)}, which ` +
-        "explains more than an effect would.",
+        `explains ${asMuchAs(each)}.`,
     ),
     ...(explanation.verdict === "adequate"
       ? []
