@@ -73,10 +73,12 @@ def to_one_side(
     """
     up = value + step
     moved = run(up) if up <= bounds[1] else np.full_like(here, np.nan)
-    if np.isfinite(moved).all():
-        return np.asarray((moved - here) / (up - value))
-    down = value - step
-    return np.asarray((here - run(down)) / (value - down))
+    at = up
+    if not np.isfinite(moved).all():
+        at = value - step
+        moved = run(at)
+    with np.errstate(over="ignore"):  # where it runs away the slope is infinite
+        return np.asarray((moved - here) / (at - value))
 
 
 def central(run: Run, value: float, step: float, bounds: tuple[float, float]) -> FloatArray:
