@@ -249,8 +249,8 @@ class Settings(BaseSettings):
     allow_fmus: bool = Field(
         False,
         description=(
-            "Whether baselines that hold an FMU are stored and judged by: its native code runs in a"
-            " process of its own, as the service's user."
+            "Whether FMUs, and baselines that hold one, are stored, trained with and judged by: the"
+            " native code runs in a process of its own, as the service's user."
         ),
     )
     header_limit: int = Field(16 * 2**10, ge=1024, description="Largest request head [bytes].")

@@ -19,6 +19,8 @@ from residuum.service.commands.report import AsJson
 from residuum.service.commands.score import Baseline
 from residuum.service.fleet.fleet import Rescore, StoredWindows, fleet_source
 from residuum.service.fleet.own_judges import OWN, rescore_own
+from residuum.service.machines.scoring import diagnoser_of_file
+from residuum.service.settings import load_settings
 
 app = typer.Typer(add_completion=False)
 
@@ -62,15 +64,16 @@ def rescore(
                 " name one"
             )
         source.items()  # refused here where the database is none of this version
-        run_over_fleet(source, rescore_own(source), run, counts=_VERDICTS)
+        work = rescore_own(source, fmus=load_settings(data=data).allow_fmus)
+        run_over_fleet(source, work, run, counts=_VERDICTS)
         return
+    diagnoser_class(diagnoser)
     if baseline is not None:
         if not baseline.is_file():
             raise BadInput(f"{baseline}: no such baseline file")
-        diagnoser_class(diagnoser).load(baseline)  # refused here, once, rather than for every file
-    else:
-        diagnoser_class(diagnoser)
+        # refused here, once, rather than for every file; an FMU in it is loaded by workers alone
+        diagnoser_of_file(diagnoser, str(baseline), fmus=True)
     source = fleet_source(records, data)
     # The whole path: workers may run in another folder than the command.
-    work = Rescore(diagnoser, None if baseline is None else str(baseline.resolve()), source)
-    run_over_fleet(source, work, run, counts=_VERDICTS)
+    given = None if baseline is None else str(baseline.resolve())
+    run_over_fleet(source, Rescore(diagnoser, given, source), run, counts=_VERDICTS)

@@ -293,7 +293,9 @@ class Rescore:
     def __call__(self, file: str) -> dict[str, Any]:
         """`{"by": …, "finding": …}` or `{"by": …, "refused": …}`."""
         try:
-            finding = diagnoser_of_file(self.diagnoser, self.baseline).score(self.source.read(file))
+            # whoever names the baseline lets its FMU run, apart from the worker
+            judge = diagnoser_of_file(self.diagnoser, self.baseline, fmus=True)
+            finding = judge.score(self.source.read(file))
         except BadInput as error:
             return {"by": self.mark, "refused": str(error)}
         return {"by": self.mark, "finding": to_plain(finding.to_json())}
