@@ -138,7 +138,7 @@ def _span(
     sql = import_module("psycopg.sql")
     time = _column(at, columns, "time", _OF_TIME)
     query = sql.SQL(
-        "SELECT min({time}::timestamptz), max({time}::timestamptz) FROM {table} WHERE {rows}"
+        "SELECT min({time})::timestamptz, max({time})::timestamptz FROM {table} WHERE {rows}"
     ).format(
         time=sql.Identifier(time),
         table=sql.Identifier(*at.table),
@@ -329,15 +329,16 @@ def _unit_in_rows(
 
 def _conditions(at: Address, time: str, where: Mapping[str, str]) -> Any:
     sql = import_module("psycopg.sql")
+    # columns as they stand, so that their indices are used: the words take the columns' types
     parts = [
-        sql.SQL("{}::text = {}").format(sql.Identifier(name), sql.Literal(value))
+        sql.SQL("{} = {}").format(sql.Identifier(name), sql.Literal(value))
         for name, value in {**at.where, **where}.items()
     ]
     column = sql.Identifier(time)
     # PostgreSQL has the instants 'infinity' and '-infinity', which no time base holds
     parts.append(sql.SQL("isfinite({})").format(column))
     parts += [
-        sql.SQL("{}::timestamptz {} {}").format(column, sql.SQL(sign), sql.Literal(instant))
+        sql.SQL("{} {} {}").format(column, sql.SQL(sign), sql.Literal(instant))
         for sign, instant in ((">=", at.start), ("<", at.end))
         if instant is not None
     ]

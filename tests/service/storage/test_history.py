@@ -352,3 +352,20 @@ def test_windows_are_made_when_asked_for_and_found_by_their_addresses(plant):
         windows[0].replace("north", "x"),
     ):
         assert name not in windows
+
+
+def test_a_window_is_read_by_an_index_of_times_without_a_zone(fleet, plant):
+    address, _ = fleet
+    (name, *_) = windows_of(f"{address}&window=60", ["pump 1"])
+    end = time.monotonic() + 60
+    with psycopg.connect(plant.replace("timescale", "postgresql"), autocommit=True) as admin:
+        admin.execute("ANALYZE fleet")
+        scans = "SELECT seq_scan, idx_scan FROM pg_stat_user_tables WHERE relname = 'fleet'"
+        before = admin.execute(scans).fetchone()
+        # what was counted is told when a connection ends
+        with closing(HistoryReader(address)) as reader:
+            assert reader.read(name).n == 60
+        while (after := admin.execute(scans).fetchone())[1] == before[1]:
+            assert time.monotonic() < end, "no index was used"
+            time.sleep(0.1)
+        assert after[0] == before[0]
