@@ -11,11 +11,11 @@ from typing import overload
 from residuum.identification.errors import BadRecord
 from residuum.identification.record import Record
 from residuum.identification.record_formats.history import (
+    OPCUA,
     Address,
     History,
     is_address_of,
     parse_address,
-    split_address,
 )
 from residuum.identification.record_formats.loggers.no_value import without_marks, without_overloads
 from residuum.identification.record_formats.options import ReadOptions
@@ -23,7 +23,7 @@ from residuum.late_members import LateMembers
 
 _POSTGRES = ("residuum.identification.record_formats.postgres_history", "PostgresHistory")
 _INFLUX = ("residuum.identification.record_formats.influx_history", "InfluxHistory")
-_OPCUA = ("residuum.identification.record_formats.opcua_history", "read_opcua_history")
+_OPCUA = ("residuum.identification.record_formats.opcua_history", "OpcUaHistory")
 HISTORIES: Mapping[str, Callable[[], History]] = LateMembers(
     {
         "timescale": _POSTGRES,
@@ -31,21 +31,15 @@ HISTORIES: Mapping[str, Callable[[], History]] = LateMembers(
         "postgres": _POSTGRES,
         "influx": _INFLUX,
         "influxs": _INFLUX,
+        OPCUA: _OPCUA,
     }
 )
 """Scheme of an address → the history behind it."""
-# scheme of servers that keep the history of nodes, which have no windows → what reads one
-_NODES: Mapping[str, Callable[[str, ReadOptions], Record]] = LateMembers({"opc.tcp": _OPCUA})
 _MOST_WINDOWS = 10_000_000  # more come of a length in other units than seconds
 
 
 def is_history(path: object) -> bool:
     """Whether this names a table of a history, or nodes that keep one, rather than a file."""
-    return is_address_of(path, (*HISTORIES, *_NODES))
-
-
-def has_windows(path: object) -> bool:
-    """Whether this names a table of a history, which can be read in windows."""
     return is_address_of(path, tuple(HISTORIES))
 
 
@@ -64,9 +58,6 @@ def read_history(address: str, options: ReadOptions = ReadOptions()) -> Record:
     HistoryAway
         A server that does not answer.
     """
-    nodes = split_address(address, tuple(_NODES))
-    if nodes is not None:
-        return _cleaned(_NODES[nodes.scheme](address, options), options)
     at = _parsed(address)
     if at.window or at.each:
         asked = "window" if at.window else "each"
@@ -215,7 +206,7 @@ class HistoryReader:
 
     def machine_of(self, window: str) -> str | None:
         """What the column `each` holds in a window's rows; None where its address does not say."""
-        if not has_windows(window) or self._at.each is None:
+        if not is_history(window) or self._at.each is None:
             return None
         return _parsed(window).where.get(self._at.each)
 

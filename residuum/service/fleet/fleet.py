@@ -37,7 +37,7 @@ from residuum.identification.record_formats import OLDER, READERS
 from residuum.identification.record_formats.histories import (
     HistoryReader,
     Windows,
-    has_windows,
+    is_history,
     windows_of,
 )
 from residuum.identification.record_formats.history import HistoryAway
@@ -241,7 +241,7 @@ def fleet_source(text: str, data: Path | None) -> FleetSource:
     its data folder.
     """
     scheme = text.split("://", maxsplit=1)[0].split("+", maxsplit=1)[0] if "://" in text else ""
-    if has_windows(text) and (scheme not in _DATABASES or "?" in text):
+    if is_history(text) and (scheme not in _DATABASES or "?" in text):
         return HistoryWindows(text)
     if scheme in _DATABASES:
         if data is None or not data.is_dir():
