@@ -349,11 +349,10 @@ class Rescore:
         return self.source.machines if isinstance(self.source, HistoryWindows) else None
 
     def _baseline_of(self, file: str) -> str | None:
-        if self.baseline is None or not isinstance(self.source, HistoryWindows):
+        source = self.source
+        if not (self.baseline and isinstance(source, HistoryWindows) and source.machines):
             return self.baseline
-        if self.source.machines is None:
-            return self.baseline
-        machine = self.source.machine_of(file)
+        machine = source.machine_of(file)
         return machine and _baseline_file(self.baseline, machine)
 
 
