@@ -45,8 +45,7 @@ class RescoreOwn:
     judges: tuple[OwnJudge, ...]
     fmus: bool = False
 
-    @property
-    def mark(self) -> str:
+    def mark(self, window: str) -> str:
         """What the results are made by: every machine's diagnoser, baseline and method."""
         # Without it a run that is resumed after a baseline was accepted would mix findings of both.
         return hashlib.sha256(f"rescore {OWN} {self.judges!r}".encode()).hexdigest()[:16]
@@ -63,8 +62,8 @@ class RescoreOwn:
                 (self.source, own), lambda: _judge(self.source, own, self.fmus)
             ).score(self.source.read(window))
         except BadInput as error:
-            return {"by": self.mark, "refused": str(error)}
-        return {"by": self.mark, "finding": to_plain(finding.to_json())}
+            return {"by": self.mark(window), "refused": str(error)}
+        return {"by": self.mark(window), "finding": to_plain(finding.to_json())}
 
 
 def rescore_own(source: StoredWindows, *, fmus: bool = False) -> RescoreOwn:
