@@ -46,6 +46,14 @@ NoteOrder = Callable[[int, str, str], None]
 """Keeps of (alarm, number of its work order, receiver that made it)."""
 
 
+Wants = Callable[[Mapping[str, Any]], bool]
+"""Whether a receiver is told an alarm, or a flood of them."""
+
+
+def _all(_alarm: Mapping[str, Any]) -> bool:
+    return True
+
+
 def _kept_nowhere(_alarm: int, _number: str, _receiver: str) -> None:
     """Of who keeps no numbers."""
 
@@ -65,12 +73,16 @@ class Receiver(Delivery):
     send : callable
     findings : bool
         Whether it is told findings, too.
+    wants : callable
     """
 
-    def __init__(self, name: str, address: str, send: Send, *, findings: bool) -> None:
+    def __init__(
+        self, name: str, address: str, send: Send, *, findings: bool, wants: Wants = _all
+    ) -> None:
         super().__init__(name, log.bind(receiver=name), _WORDS)
         self._order: str | None = None
         self._address, self._send, self._findings = address, send, findings
+        self._wants = wants
         self._news = threading.Event()
         self._thread = threading.Thread(
             target=self._deliver_all, name=f"notify {name}", daemon=True
@@ -115,9 +127,7 @@ class Receiver(Delivery):
                     "a change of an alarm is damaged and told to nobody: see the alarms",
                     receiver=self.name,
                 )
-            elif not self._attempt(
-                _kind_of(notice.alarm), {**notice.alarm, "notice": notice.number}
-            ):
+            elif not self._told(notice.alarm, notice.number):
                 continue
             self._lost("alarm", notice.passed_over)
             # noted after it was delivered: after a crash in between it is told twice, not never
@@ -125,6 +135,13 @@ class Receiver(Delivery):
             if self._order is not None and notice.alarm is not None:
                 kept = (notice.alarm["id"], self._order, self.name)
                 self._until_kept(partial(self._note_order, *kept))
+
+    def _told(self, alarm: Mapping[str, Any], number: int) -> bool:
+        """Whether the receiver has it, refused it for good, or is not to be told it."""
+        self._order = None
+        if not self._wants(alarm):
+            return True
+        return self._attempt(_kind_of(alarm), {**alarm, "notice": number})
 
     def _until_kept(self, note: Callable[[], None]) -> None:
         """Note what was delivered; the store may be away, and what was delivered is not delivered
@@ -171,7 +188,6 @@ class Receiver(Delivery):
 
     def _attempt(self, kind: str, payload: Mapping[str, Any]) -> bool:
         """Whether the receiver has it, or refused it for good."""
-        self._order = None
 
         def deliver() -> None:
             self._order = self._send(kind, payload)
@@ -220,7 +236,7 @@ class Notifications:
         public_url = None if settings.public_url is None else str(settings.public_url)
         receivers = receivers_of(settings)
         self.receivers = [
-            Receiver(name, of.address(), of.opened(public_url), findings=False)
+            Receiver(name, of.address(), of.opened(public_url), findings=False, wants=of.wants)
             for name, of in zip(
                 _told_apart([of.called for of in receivers]), receivers, strict=True
             )
