@@ -193,16 +193,34 @@ def baseline_file(data: Path, content: bytes) -> str:
     """The name of the file with this content, below the data folder; written once, however many ask
     for it at once.
     """
-    folder = data / "baselines"
-    folder.mkdir(parents=True, exist_ok=True)
-    file = folder / f"{hashlib.sha256(content).hexdigest()[:24]}.zip"
+    file = _file_of(data, hashlib.sha256(content).hexdigest())
+    file.parent.mkdir(parents=True, exist_ok=True)
     if not file.exists():
         # written beside and moved: a worker that finds the name finds the whole file
-        handle, part = tempfile.mkstemp(dir=folder, suffix=".part")
+        handle, part = tempfile.mkstemp(dir=file.parent, suffix=".part")
         with os.fdopen(handle, "wb") as opened:
             opened.write(content)
         os.replace(part, file)
-    return str(file.resolve())
+    return str(file)
+
+
+def newest_baseline_file(
+    store: DiskStore, data: Path, asset: str, wanted: str | None = None
+) -> str:
+    """The file of the newest version of a machine's baseline; empty before there is one."""
+    try:
+        newest = newest_baseline(store, asset, wanted)
+    except NotFound:
+        return ""
+    file = _file_of(data, newest.checksum)
+    # its content is read once, and not for each window
+    if file.exists():
+        return str(file)
+    return baseline_file(data, store.model_content(newest.model, newest.number))
+
+
+def _file_of(data: Path, checksum: str) -> Path:
+    return (data / "baselines" / f"{checksum[:24]}.zip").resolve()
 
 
 # Training a machine's baseline from its own windows: the work of a job; nothing is stored here.
