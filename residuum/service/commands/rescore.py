@@ -81,8 +81,8 @@ def rescore(
                 " name one"
             )
         source.items()  # refused here where the database is none of this version
-        work = rescore_own(source, fmus=load_settings(data=data).allow_fmus)
-        run_over_fleet(source, work, run, counts=_VERDICTS)
+        own = rescore_own(source, fmus=load_settings(data=data).allow_fmus)
+        run_over_fleet(source, own, run, counts=_VERDICTS)
         return
     diagnoser_class(diagnoser)
     source = fleet_source(records, data)
