@@ -126,7 +126,13 @@ class Sending:
     def _key(self) -> dict[str, str]:
         if self._key_file is None:
             return {}
-        return {"X-API-Key": first_line(self._key_file, "service_key_file")}
+        key = first_line(self._key_file, "service_key_file")
+        if not (key.isascii() and key.isprintable()):
+            raise BadInput(
+                f"service_key_file {self._key_file}: is no API key, which has letters, digits and"
+                " signs of ASCII alone; `residuum keys` makes one"
+            )
+        return {"X-API-Key": key}
 
 
 class _Sender(Delivery):
