@@ -20,9 +20,7 @@ from residuum.identification.physics import Experiment, PhysicalModel, estimate,
 from residuum.identification.physics.effects.base import Parameter
 from residuum.identification.physics.fmu.co_simulation import OwnSimulation
 from residuum.identification.physics.fmu.description import Description
-from residuum.identification.physics.fmu.fmu_model import exchange_model
 from residuum.identification.physics.fmu.instance import Instance, instance_of
-from residuum.identification.physics.fmu.loaded_library import LoadedLibrary, library_of
 from residuum.identification.physics.fmu.parameter_file import (
     Named,
     free_missing,
@@ -110,14 +108,11 @@ class FmuModel(Model):
         given: str | None = None,
     ) -> None:
         self._described, self._values = described, dict(values)
-        self._library: LoadedLibrary | None = None
         self._own: OwnSimulation | None = None
         # With states that can be read and set effects act in balances; any other FMU is simulated
         # along a record, and effects are judged on the paths of its outputs.
         if described.is_exchangeable:
-            self._library = library_of(self._instance)
-            self._library.settle(self._set)
-            physical = exchange_model(self._library)
+            physical = exchanged_model(described, {}, held=self._set)
         else:
             self._own = _own_simulation(self._instance)
             physical = simulated_model(described)
@@ -172,8 +167,6 @@ class FmuModel(Model):
 
     def _simulated(self, records: Sequence[MeasuredRecord], map: Mapped) -> list[MeasuredRecord]:
         """The records with what an FMU that simulates itself computes along them."""
-        if self._library is not None:
-            self._library.settle(self._set)
         if self._own is None:
             return list(records)
         simulated = with_simulation(
@@ -220,7 +213,7 @@ class FmuModel(Model):
         """Estimate parameters of the FMU, and of effects, by the error of simulation.
 
         Slopes are the FMU's directional derivatives where it gives them by a parameter, else
-        central differences of whole simulations, whose step `slopes` of the answer tells. A
+        differences of whole simulations, whose step `slopes` of the answer tells. A
         simulation begins by the FMU's reset, or by its state where it can bring one back.
 
         Parameters

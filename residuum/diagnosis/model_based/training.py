@@ -124,16 +124,26 @@ def with_missing_physics(
     candidates = _candidates(_with_library_held(model), few, searched.tolist())
     if model.foreign is not None:
         candidates = [(replace(m, parameters=model.parameters), e) for m, e in candidates]
-    fits = [_fitted(*trial, whitening) for trial in candidates]
+    chosen = _simplest_better(base, [_fitted(*trial, whitening) for trial in candidates])
+    if chosen is None:
+        return model, list(windows)
+    return _settled(chosen, model), [replace(e, hold=chosen.windows[0].hold) for e in windows]
+
+
+def _simplest_better(
+    base: _FittedToWindows, fits: Sequence[_FittedToWindows]
+) -> _FittedToWindows | None:
+    """Of the fits that take error away in all windows, and of those that take away as much as the
+    best, the one with the fewest values; None where none does.
+    """
     errors = [trial.log_errors for trial in fits]
     better = [k for k, error in enumerate(errors) if _is_reduced(base.log_errors - error)]
     if not better:
-        return model, list(windows)
+        return None
     best = min(better, key=lambda k: float(errors[k].mean()))
-    # of what takes away as much, to one standard error, the model with the fewest values
+    # as much: to one standard error
     alike = [k for k in better if k == best or not _is_reduced(errors[k] - errors[best], 1.0)]
-    chosen = fits[min(alike, key=lambda k: (len(fits[k].model.free), float(errors[k].mean())))]
-    return _settled(chosen, model), [replace(e, hold=chosen.windows[0].hold) for e in windows]
+    return fits[min(alike, key=lambda k: (len(fits[k].model.free), float(errors[k].mean())))]
 
 
 def _with_library_held(model: PhysicalModel) -> PhysicalModel:
@@ -418,13 +428,36 @@ def train(
     """
     asked, experiments = match(model, windows_of(records))
     experiments = _alike(experiments)
+    base = _beside_known(asked, known)
+    if base.foreign is not None:
+        base.foreign.choose_steps(base, [experiments[k] for k in evenly(len(experiments), 1)])
+    fit = _determined(asked, base, experiments, fix_undetermined)
+    better, experiments = with_missing_physics(
+        fit.model, fit.experiments, _sized(fit.model, fit.experiments)
+    )
+    return _calibrated(
+        _learned(asked, better, experiments, [record.source for record in records]), experiments
+    )
+
+
+def _beside_known(asked: PhysicalModel, known: Sequence[EffectUse]) -> PhysicalModel:
+    """The user's model with effects that it was found to lack before."""
     base = asked
     for use in known:
         if use.key not in [own.key for own in asked.effects]:
             base = base.with_effect(*use.key, {name: p.value for name, p in use.parameters.items()})
-    if base.foreign is not None:
-        base.foreign.choose_steps(base, [experiments[k] for k in evenly(len(experiments), 1)])
-    # All windows at once first: they determine what no window determines by itself.
+    return base
+
+
+def _determined(
+    asked: PhysicalModel,
+    base: PhysicalModel,
+    experiments: list[Experiment],
+    fix_undetermined: bool,
+) -> _FittedToAll:
+    """The fit to all windows at once, which determine what no window determines by itself; Undetermined
+    where values of the user's model stay open, unless those are to be held.
+    """
     fit = _over_all(base, experiments)
     while wide := [name for name in _open(fit) if name in asked.parameters]:
         if not fix_undetermined:
@@ -432,12 +465,7 @@ def train(
         # with the widest one held, others may be determined
         base = held(base, wide[:1])
         fit = _over_all(base, fit.experiments, timing_known=True)
-    better, experiments = with_missing_physics(
-        fit.model, fit.experiments, _sized(fit.model, fit.experiments)
-    )
-    return _calibrated(
-        _learned(asked, better, experiments, [record.source for record in records]), experiments
-    )
+    return fit
 
 
 def windows_of(records: Sequence[Record]) -> list[Record]:

@@ -8,7 +8,7 @@ import pytest
 import residuum as rs
 from residuum.identification.errors import BadInput
 from residuum.identification.physics import Experiment, Simulator, load_model, write_model
-from residuum.identification.physics.simulate.differences import chosen_step
+from residuum.identification.physics.simulate.differences import Step, central, chosen_step
 from residuum.identification.record import Record
 from residuum.identification.record_formats import write_record
 from residuum.service.cli import BAD_INPUT, DONE, run
@@ -155,6 +155,38 @@ def test_a_rough_solver_gets_a_wide_step():
     noisy = chosen_step(lambda value: rough(value, 1e-4), 2.0, 2.0, (-np.inf, np.inf))
     assert noisy.relative > smooth.relative
     assert noisy.error < 0.05
+    # without noise a tiny step to one side is as good, and costs one simulation
+    assert (smooth.one_sided, noisy.one_sided) == (True, False)
+    assert smooth.error < 1e-4
+
+
+def test_a_step_to_one_side_goes_down_where_there_is_no_room_above():
+    tiny = Step(1e-6, 3.0, one_sided=True)
+    tried = []
+
+    def run(value):
+        tried.append(value)
+        return np.array([[value**2]])
+
+    for upper in (9.0, 3.0):
+        slope = tiny.slope(run, 3.0, np.array([[9.0]]), (0.0, upper))
+        assert slope[0, 0] == pytest.approx(6.0, rel=1e-5)
+    assert tried[0] > 3.0 > tried[1] and len(tried) == 2
+
+
+def test_what_runs_away_has_no_slope_and_what_is_left_keeps_its_own():
+    def runs_away(value):
+        return np.array([[value**2, np.inf], [2.0 * value, -np.inf]])
+
+    both = central(runs_away, 3.0, 1e-3, (-np.inf, np.inf))
+    assert both[:, 0] == pytest.approx([6.0, 2.0], rel=1e-3)
+    assert np.isnan(both[:, 1]).all()
+
+    def ends(value):
+        return np.array([[value if value <= 1.0 else np.inf]])
+
+    assert np.isnan(central(ends, 1.0, 1e-3, (1.0, 9.0))).all()  # neither side is left
+    assert central(ends, 1.0, 1e-3, (0.0, 9.0)) == pytest.approx(1.0)
 
 
 def test_an_fmu_whose_reset_changes_nothing_is_refused(axis, rail, tmp_path):

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
+from types import MappingProxyType
 
 import numpy as np
 
@@ -26,10 +27,15 @@ side by side each for theirs.
 
 
 class ExchangedParameters:
-    """Parameters of an FMU whose rates the model's equations call."""
+    """Parameters of an FMU whose rates the model's equations call; `held` are values of those that
+    the model has not among its own.
+    """
 
-    def __init__(self, library: LoadedLibrary) -> None:
+    def __init__(
+        self, library: LoadedLibrary, held: Mapping[str, float] = MappingProxyType({})
+    ) -> None:
         self.library = library
+        self.held = held
         self.lock = library.instance.lock
         self.steps: Mapping[str, Step] = {}
 
@@ -53,7 +59,7 @@ class ExchangedParameters:
 
     def settle(self, values: Mapping[str, float]) -> bool:
         """Begin the FMU anew where its parameters change."""
-        return self.library.settle(values)
+        return self.library.settle({**self.held, **values})
 
     def along(
         self, experiments: Sequence[Experiment], values: Mapping[str, float]
