@@ -323,3 +323,25 @@ def test_only_named_parameters_of_our_own_models_are_estimated(sliding, rail):
     assert answer.model.parameters["viscous-friction@axis.d"].value == 25.0
     with pytest.raises(BadInput, match=r"free 'm': .* did you mean 'M'"):
         model.estimate(rail, free=["m"])
+
+
+def test_a_wrong_parameter_of_its_own_is_told_and_no_effect(axis, sliding):
+    heavy = recorded(sliding, {"M": 110.0, "viscous-friction@axis.d": 25.0})
+    found = rs.fmu(axis).explain(heavy, effects=["output-lag", "output-offset"])
+    (held,) = found.to_dict()["held_values"]
+    assert (held["name"], held["held"], held["unit"]) == ("M", 95.0, "kg")
+    assert held["value"] == pytest.approx(110.0, rel=0.01)
+    assert found.verdict == "adequate"
+
+
+def test_improve_frees_its_own_parameters_beside_effects(axis, rubbing):
+    improved = rs.fmu(axis).improve(
+        rubbing, free=list(TRUE), effects=["coulomb-friction", "output-offset"]
+    )
+    values = improved.model.parameters
+    assert improved.model.effects == ("coulomb-friction@v",)
+    for name, truth in TRUE.items():
+        assert values[name].value == pytest.approx(truth, rel=0.02)
+    assert values["coulomb-friction@v.tau_c"].value == pytest.approx(20.0 / 110.0, rel=0.02)
+    with pytest.raises(BadInput, match=r"'force': is of the kind 'input'"):
+        rs.fmu(axis).improve(rubbing, free=["force"])

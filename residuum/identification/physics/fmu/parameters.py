@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from types import MappingProxyType
@@ -27,14 +27,21 @@ side by side each for theirs.
 
 
 class ExchangedParameters:
-    """Parameters of an FMU whose rates the model's equations call; `held` are values of those that
-    the model has not among its own.
+    """Parameters of an FMU whose rates the model's equations call: the FMU takes those of these
+    `names` from the model, and those that are `held` at values; all others keep its own.
+
+    A model may have more: a value that a search doubts moves the outputs beside the FMU, which
+    keeps the one that it has.
     """
 
     def __init__(
-        self, library: LoadedLibrary, held: Mapping[str, float] = MappingProxyType({})
+        self,
+        library: LoadedLibrary,
+        names: Collection[str],
+        held: Mapping[str, float] = MappingProxyType({}),
     ) -> None:
         self.library = library
+        self.names = names
         self.held = held
         self.lock = library.instance.lock
         self.steps: Mapping[str, Step] = {}
@@ -59,7 +66,8 @@ class ExchangedParameters:
 
     def settle(self, values: Mapping[str, float]) -> bool:
         """Begin the FMU anew where its parameters change."""
-        return self.library.settle({**self.held, **values})
+        taken = {name: value for name, value in values.items() if name in self.names}
+        return self.library.settle({**self.held, **taken})
 
     def along(
         self, experiments: Sequence[Experiment], values: Mapping[str, float]

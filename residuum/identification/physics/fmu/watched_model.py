@@ -49,7 +49,8 @@ def exchanged_model(
     free = tuple(name for name, parameter in parameters.items() if not parameter.fixed)
     library = library_of(instance_of(described), free)
     physical = exchange_model(library, parameters)
-    return replace(physical, effects=tuple(effects), foreign=ExchangedParameters(library, held))
+    foreign = ExchangedParameters(library, frozenset(parameters), held)
+    return replace(physical, effects=tuple(effects), foreign=foreign)
 
 
 def watched_model(named: Named) -> PhysicalModel:
