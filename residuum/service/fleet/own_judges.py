@@ -43,9 +43,9 @@ class RescoreOwn:
 
     source: StoredWindows
     judges: tuple[OwnJudge, ...]
-    fmus: bool = False
 
-    def mark(self, window: str) -> str:
+    @property
+    def mark(self) -> str:
         """What the results are made by: every machine's diagnoser, baseline and method."""
         # Without it a run that is resumed after a baseline was accepted would mix findings of both.
         return hashlib.sha256(f"rescore {OWN} {self.judges!r}".encode()).hexdigest()[:16]
@@ -59,21 +59,20 @@ class RescoreOwn:
                 raise BadInput(f"asset {asset!r}: has no diagnoser")
             # Loaded once a process and judge: windows of many machines come to a worker in turn.
             finding = IN_THIS_PROCESS.get(
-                (self.source, own), lambda: _judge(self.source, own, self.fmus)
+                (self.source, own), lambda: _judge(self.source, own)
             ).score(self.source.read(window))
         except BadInput as error:
-            return {"by": self.mark(window), "refused": str(error)}
-        return {"by": self.mark(window), "finding": to_plain(finding.to_json())}
+            return {"by": self.mark, "refused": str(error)}
+        return {"by": self.mark, "finding": to_plain(finding.to_json())}
 
 
-def rescore_own(source: StoredWindows, *, fmus: bool = False) -> RescoreOwn:
+def rescore_own(source: StoredWindows) -> RescoreOwn:
     """The work for a database whose schema is the newest; what judges each machine is settled now,
-    for all workers. With `fmus` those that hold one judge in processes of their own, else their
-    machines' windows are refused.
+    for all workers.
     """
     store = DiskStore(Path(source.data), source.url)
     try:
-        return RescoreOwn(source, tuple(_own(store)), fmus)
+        return RescoreOwn(source, tuple(_own(store)))
     finally:
         store.close()
 
@@ -105,13 +104,12 @@ def _baseline(store: DiskStore, asset: str) -> ModelVersion | None:
     return newest if newest.kind == BASELINE else None
 
 
-def _judge(source: StoredWindows, own: OwnJudge, fmus: bool) -> Diagnoser:
+def _judge(source: StoredWindows, own: OwnJudge) -> Diagnoser:
     kind = DIAGNOSERS[own.diagnoser or ""]
     judge = kind()
     if own.baseline is not None:
         name, number, _ = own.baseline
         database, _ = stored_in(source.url, source.data)
         with database.read() as connection:
-            content = models.content(connection, name, number)
-        judge = diagnoser_of_content(kind, content, fmus=fmus)
+            judge = diagnoser_of_content(kind, models.content(connection, name, number))
     return judge if own.method is None else judge.with_settings(method=own.method)

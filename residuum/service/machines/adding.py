@@ -349,26 +349,22 @@ ModelText = tuple[str, bytes | None]
 """A model's name and text; None for the text of a built-in one."""
 
 
-def stored_model(
-    store: DiskStore, name: str, version: int | None = None, kinds: Sequence[str] = ("physical",)
-) -> ModelText:
-    """Name and text of a built-in or stored model; NotFound, or Conflict when it is of none of the
-    kinds.
+def stored_model(store: DiskStore, name: str, version: int | None = None) -> ModelText:
+    """Name and text of a built-in or stored model; NotFound, or Conflict when it is not a physical
+    one.
     """
     if version is None and name in BUILT_IN:
         return name, None
     actual = store.model_versions(name)[0].kind
-    if actual not in kinds:
+    if actual != "physical":
         raise Conflict(f"model {name!r}: is a {actual} model; this needs a physical one")
     return name, store.model_content(name, version)
 
 
-def model_of_settings(
-    store: DiskStore, name: str, kinds: Sequence[str] = ("physical",)
-) -> ModelText:
+def model_of_settings(store: DiskStore, name: str) -> ModelText:
     """The model that a machine's settings name: built in, stored, or a file of this computer."""
     try:
-        return stored_model(store, name, kinds=kinds)
+        return stored_model(store, name)
     except NotFound:
         pass
     try:

@@ -12,7 +12,6 @@ import tempfile
 import zipfile
 import zlib
 from collections.abc import Callable, Mapping
-from dataclasses import replace
 from pathlib import Path
 from typing import IO, Any
 
@@ -109,8 +108,7 @@ def from_npz(body: bytes, unpacked: int) -> Record:
         file = Path(folder) / "body.npz"
         file.write_bytes(body)
         try:
-            # the file is of this moment, and its name says nothing
-            return replace(read_record(file), source="http")
+            return read_record(file)
         except BadRecord as error:
             error.what = error.what.replace(str(file), "body")
             raise

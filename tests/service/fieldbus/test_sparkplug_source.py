@@ -36,6 +36,7 @@ from residuum.service.fieldbus.sparkplug.sparkplug_source import REBIRTH, Sparkp
 from residuum.service.finding_metrics import EdgeNode, FindingMetrics
 from residuum.service.settings import BadSettings, load_settings
 from residuum.service.storage import DiskStore
+from residuum.service.window_queue.stored_windows import StoredNews
 
 STEP = 0.02
 
@@ -344,7 +345,7 @@ def test_a_service_publishes_what_it_stored(broker, host, run_service):
     assert (birth["verdict"], birth["reason"]) == ("faulty", "worn")
 
 
-def test_a_service_publishes_what_it_stored_and_what_the_store_had_at_its_start(
+def test_a_service_publishes_what_scorers_stored_and_what_the_store_had_at_its_start(
     broker, host, run_service, free_port
 ):
     asyncua = pytest.importorskip(
@@ -355,6 +356,7 @@ def test_a_service_publishes_what_it_stored_and_what_the_store_had_at_its_start(
     service = run_service(
         mqtt=broker, sparkplug="Plant/Residuum", opcua_server=opcua, opcua_anonymous=True
     )
+    theirs = DiskStore(service.services.settings.data, service.services.settings.database_url)
     record = Record({"y": [0.0, 1.0]}, {"y": "V"}, 1.0)
 
     def said():
@@ -369,9 +371,13 @@ def test_a_service_publishes_what_it_stored_and_what_the_store_had_at_its_start(
         with asyncua.Client(opcua) as client, suppress(Exception):
             return client.get_node(f"ns=2;s=press.{name}").read_value()
 
-    store = service.services.store
-    store.add_window("press", record, Finding("bearing", "faulty", reason="worn"))
-    wait(lambda: "alarm" in said())
+    window = theirs.add_window("press", record, Finding("bearing", "faulty", reason="worn"))
+    wait(
+        lambda: (
+            listening.client.publish("residuum/stored", StoredNews("press", window).pack(), qos=1)
+            and "alarm" in said()
+        )
+    )
     assert (said()["verdict"], said()["reason"], said()["alarm"]) == (
         "faulty",
         "worn",
@@ -379,8 +385,6 @@ def test_a_service_publishes_what_it_stored_and_what_the_store_had_at_its_start(
     )
     wait(lambda: served("verdict") == "faulty" and served("alarm") == "unacknowledged")
     service.stop()
-    settings = service.services.settings
-    theirs = DiskStore(settings.data, settings.database_url)
     theirs.add_window("press", record, Finding("bearing", "faulty", reason="while nobody looked"))
     theirs.close()
     listening.heard.clear()

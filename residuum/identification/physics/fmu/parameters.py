@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from types import MappingProxyType
 
 import numpy as np
 
@@ -27,22 +26,10 @@ side by side each for theirs.
 
 
 class ExchangedParameters:
-    """Parameters of an FMU whose rates the model's equations call: the FMU takes those of these
-    `names` from the model, and those that are `held` at values; all others keep its own.
+    """Parameters of an FMU whose rates the model's equations call."""
 
-    A model may have more: a value that a search doubts moves the outputs beside the FMU, which
-    keeps the one that it has.
-    """
-
-    def __init__(
-        self,
-        library: LoadedLibrary,
-        names: Collection[str],
-        held: Mapping[str, float] = MappingProxyType({}),
-    ) -> None:
+    def __init__(self, library: LoadedLibrary) -> None:
         self.library = library
-        self.names = names
-        self.held = held
         self.lock = library.instance.lock
         self.steps: Mapping[str, Step] = {}
 
@@ -66,8 +53,7 @@ class ExchangedParameters:
 
     def settle(self, values: Mapping[str, float]) -> bool:
         """Begin the FMU anew where its parameters change."""
-        taken = {name: value for name, value in values.items() if name in self.names}
-        return self.library.settle({**self.held, **taken})
+        return self.library.settle(values)
 
     def along(
         self, experiments: Sequence[Experiment], values: Mapping[str, float]

@@ -22,17 +22,13 @@ function append(element, children) {
   }
 }
 
-// Where places are scrolled to, as they tell it: asked for it while a page changes, a browser lays out the whole page at once.
-const scrolledTo = new WeakMap();
-document.addEventListener("scroll", ({ target }) => scrolledTo.set(target, target.scrollTop), true);
-
 // Replace what a place shows, and keep the keyboard where it was (elements are found again by data-key).
 export function show(place, ...children) {
   const key = place.contains(document.activeElement) ? document.activeElement.dataset.key : undefined;
-  const scrolled = scrolledTo.get(place);
+  const scrolled = place.scrollTop;
   place.replaceChildren();
   append(place, children);
-  if (scrolled) place.scrollTop = scrolled;
+  place.scrollTop = scrolled;
   if (key)
     [...place.querySelectorAll("[data-key]")].find((element) => element.dataset.key === key)?.focus({ preventScroll: true });
 }
