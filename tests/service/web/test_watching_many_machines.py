@@ -422,6 +422,10 @@ def test_a_comment_that_is_begun_while_the_alarm_is_being_acknowledged_is_kept(
     page.get_by_role("button", name="Acknowledge the alarm of press").click()
     page.get_by_text("Comment …").click()
     page.get_by_label("Comment on the alarm of press").fill("waits for")
+    for _ in range(600):
+        if held:
+            break
+        page.wait_for_timeout(100)
     with page.expect_response("**/acknowledge"):
         held[0].continue_()
     # acknowledged and drawn again, the form is still there with what was typed
