@@ -61,8 +61,9 @@ from residuum.identification.unseen_blocks.structure import Structure, fitted
 from residuum.identification.unseen_blocks.trial_fits import (
     QuickFit,
     best_of_each,
+    elsewhere,
     fit_from,
-    full_fit,
+    full_fit_or_left_out,
     quick_fit,
     refined,
     shows,
@@ -135,10 +136,12 @@ def related(
     """Effects that generalise one of the best, or are it with many minima side by side, followed
     from where that one fits, and special cases from where the general one does. From nothing they
     may not be reached, or end on the way; and what joined first as the general case may be a
-    special one beside another.
+    special one beside another. And the effect of the best one at its other places, fitted fully.
     """
     leading = sorted(by_keys.values(), key=lambda lead: lead.cost)[:BEAM]
     tasks = [task for lead in leading for task in _relatives(lead, outcome, quick_fits)]
+    siblings = each_beside(refined, elsewhere(leading[:1], by_keys, quick_fits))
+    tasks += [partial(full_fit_or_left_out, trial, outcome.validation) for trial in siblings]
     better: dict[tuple[Key, ...], ValidatedFit] = {}
     for fit in each_beside(lambda task: task(), tasks):
         if fit is None:
@@ -399,19 +402,11 @@ def _fitted(outcome: Search, quick_fits: Collection[QuickFit]) -> list[Validated
     # fits for the best of those
     near = each_beside(refined, best_of_each(quick_fits, FOLLOWED))
     best = best_of_each(near, FULLY_FITTED)
-    fits = each_beside(lambda trial: _full_fit_or_left_out(trial, outcome.validation), best)
+    fits = each_beside(lambda trial: full_fit_or_left_out(trial, outcome.validation), best)
     by_keys = {rival.keys: rival for rival in fits if rival is not None}
     by_keys |= related(outcome, by_keys, quick_fits)
     outcome.every |= by_keys
     return sorted(by_keys.values(), key=lambda rival: rival.cost)
-
-
-def _full_fit_or_left_out(trial: QuickFit, validation: CrossValidation) -> ValidatedFit | None:
-    try:
-        return full_fit(trial, validation)
-    except OutOfWork:
-        left_out(f"{trial.key.effect}@{trial.key.target}, followed to its end")
-        return None
 
 
 def next_beam(outcome: Search, ranked: Sequence[ValidatedFit]) -> list[ValidatedFit]:
