@@ -76,6 +76,7 @@ from residuum.identification.unseen_blocks.tried import (
     accurate,
     at_the_timing_it_suits,
     begun,
+    resolved,
     validated_in_nats,
     with_only,
     without_needless,
@@ -89,15 +90,29 @@ if TYPE_CHECKING:
 # `without_needless`.
 
 
-def joins(outcome: Search, ranked: Sequence[ValidatedFit]) -> bool:
-    """Whether any is real; the simplest of the best that are is the best from now on."""
+def joins(outcome: Search, ranked: list[ValidatedFit]) -> bool:
+    """Whether any is real; the simplest of the best that are is the best from now on.
+
+    One whose own modes ask for finer integration steps is judged with these, in the place of what
+    it was among those `ranked`.
+    """
     scale, before = outcome.validation.scale, outcome.best
-    real = real_ones(ranked, before, outcome.base, scale, outcome.tried)
-    if not real:
-        real = _leaving_noise(outcome, ranked)
-    if not real:
-        return False
-    chosen = simplest(real, scale)
+    while True:
+        real = real_ones(ranked, before, outcome.base, scale, outcome.tried)
+        if not real and ranked:
+            real = _leaving_noise(outcome, ranked)
+        if not real:
+            return False
+        chosen = simplest(real, scale)
+        finer = resolved(chosen, before, outcome.validation)
+        if finer is chosen:
+            break
+        ranked[:] = sorted(
+            [*(fit for fit in ranked if fit is not chosen), *([] if finer is None else [finer])],
+            key=lambda rival: rival.cost,
+        )
+        if finer is not None:
+            outcome.every[finer.keys] = finer
     outcome.best = chosen
     outcome.group = all_alike(ranked, chosen, before, scale)
     return True
