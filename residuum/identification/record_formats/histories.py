@@ -204,16 +204,21 @@ class HistoryReader:
         """The column that parts rows by machine."""
         return self._at.each
 
+    @property
+    def window(self) -> float:
+        """[s] How long a window is; 0 where the address does not say."""
+        return self._at.window.total_seconds() if self._at.window else 0.0
+
     def machine_of(self, window: str) -> str | None:
         """What the column `each` holds in a window's rows; None where its address does not say."""
         if not is_history(window) or self._at.each is None:
             return None
         return _parsed(window).where.get(self._at.each)
 
-    def read(self, window: str) -> Record:
+    def read(self, window: str, options: ReadOptions = ReadOptions()) -> Record:
         """The record of a window's address, as `windows_of` gives it; raises as `read_history`."""
         at = replace(_parsed(window), server=self._at.server)
-        record = _cleaned(self._history.record(at, ReadOptions()), ReadOptions())
+        record = _cleaned(self._history.record(at, options), options)
         return replace(record, source=at.without_secret)
 
     def close(self) -> None:

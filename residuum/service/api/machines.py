@@ -42,6 +42,7 @@ from residuum.service.machines.baselines import (
     has_baseline,
     train_baseline,
     training_windows,
+    uploaded_windows,
     what_is_trained,
 )
 from residuum.service.machines.scoring import diagnoser_class
@@ -106,6 +107,14 @@ class Training(BaseModel, extra="forbid"):
     second: bool = Field(False, description="Train the machine's second opinion, with its model.")
     leave_out: list[int] = Field(
         [], max_length=500, description="Recorded windows in which the machine was not healthy."
+    )
+    records: list[Annotated[int, Field(ge=1, le=2**53 - 1)]] | None = Field(
+        None,
+        min_length=1,
+        max_length=MOST,
+        description=(
+            "Uploaded records, each a healthy window, in the place of the machine's own windows."
+        ),
     )
     free: list[str] | None = Field(
         None,
@@ -276,21 +285,32 @@ def add_records(running: Running, machine: MachineName, asked: WindowsAsRecords)
 def train(request: Request, running: Running, machine: MachineName, asked: Training) -> Response:
     """Train the machine's baseline from its own windows, and judge by it from now on.
 
-    Without a baseline the recorded windows are taken; with one, those that it judged healthy.
+    Without a baseline the recorded windows are taken; with one, those that it judged healthy; or
+    uploaded records, of a time when nobody watched.
     """
+    if asked.records is not None and asked.leave_out:
+        raise BadInput(
+            "body, leave_out: names windows of the machine, and `records` are taken in their place;"
+            " leave one of them out"
+        )
     settings = running.pipeline.machine(machine)
     trained = what_is_trained(running.store, settings, second=asked.second)
     judged = has_baseline(running.store, machine, settings.baseline)
     baseline = trained.name
     model = _model(running, asked, trained.model) if trained.diagnoser == "model-based" else None
+    used = used_by(model)
     # With a baseline what it judged healthy, without one what was recorded.
-    windows, holes = training_windows(
-        running.store,
-        machine,
-        asked.leave_out,
-        judged=judged,
-        channels=settings.channels,
-        used=used_by(model),
+    windows, holes = (
+        training_windows(
+            running.store,
+            machine,
+            asked.leave_out,
+            judged=judged,
+            channels=settings.channels,
+            used=used,
+        )
+        if asked.records is None
+        else uploaded_windows(running.store, asked.records, settings.channels, used)
     )
     given: dict[str, Any] = {
         "fix_undetermined": asked.fix_undetermined or None,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import os
 import tempfile
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import replace
 from io import BytesIO
 from pathlib import Path
@@ -544,9 +544,29 @@ def training_windows(
     """
     if judged:
         return healthy_windows(store, asset), 0
-    records, holes = [], 0
     chosen = (window for window in store.recorded_windows(asset, MOST) if window not in leave_out)
-    for _, record in kept_windows(store, asset, chosen):
+    kept = (record for _, record in kept_windows(store, asset, chosen))
+    return _enough(kept, channels, used, f"asset {asset!r}: {{}} windows are recorded")
+
+
+def uploaded_windows(
+    store: DiskStore, records: Sequence[int], channels: Mapping[str, str], used: Collection[str]
+) -> tuple[list[Record], int]:
+    """Uploaded records as a machine's windows, in this order, and how many were passed over for a
+    hole; NotFound for one that there is not, Conflict when there are too few.
+    """
+    uploaded = (store.record_samples(number) for number in records)
+    return _enough(uploaded, channels, used, "body, records: {} are given")
+
+
+def _enough(
+    windows: Iterable[Record], channels: Mapping[str, str], used: Collection[str], counted: str
+) -> tuple[list[Record], int]:
+    """Those without a hole in a signal that is used, and how many have one; `counted` tells how
+    many there are where these are too few.
+    """
+    records, holes = [], 0
+    for record in windows:
         if holed(named(record, channels), used):
             holes += 1
         else:
@@ -554,7 +574,7 @@ def training_windows(
     if len(records) < FEWEST_NEW_WINDOWS:
         lacking = f"; {holes} more have holes, {REMEDY}" if holes else ""
         needed = f"at least {FEWEST_NEW_WINDOWS} are needed, 20 are good"
-        raise Conflict(f"asset {asset!r}: {len(records)} windows are recorded; {needed}{lacking}")
+        raise Conflict(f"{counted.format(len(records))}; {needed}{lacking}")
     return records, holes
 
 

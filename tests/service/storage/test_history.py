@@ -5,7 +5,9 @@ import subprocess
 import sys
 import time
 from contextlib import closing
+from urllib.parse import unquote_plus
 
+import httpx
 import numpy as np
 import psycopg
 import pytest
@@ -337,6 +339,75 @@ def test_a_machine_that_is_trained_later_joins_the_results(fleet, tmp_path, caps
     one_machine = address.replace("each=machine", "machine=pump 1")
     assert run(_rescored(f"{one_machine}&window=60", mine, out)[3:]) == BAD_INPUT
     assert "is a folder; only windows of a history tell" in capsys.readouterr().err
+
+
+COLUMNS = """\
+streams:
+  signals:
+    sample_time: 1
+    time: {column: time, form: seconds}
+    channels: {u: {column: u}, y: {column: y}}
+"""
+
+
+@pytest.fixture
+def watched(run_service, tmp_path):
+    """A service that watches a pump without a baseline; its address."""
+    service = run_service(growing_files=tmp_path)
+    machine = {
+        "diagnoser": "robust-residual",
+        "window": {"cut": "sliding", "length": 200, "step": 200},
+        "sources": [{"kind": "file", "channel": "file:pump.csv", "map": "columns.yaml"}],
+        "maps": {"columns.yaml": COLUMNS},
+    }
+    answer = httpx.put(f"{service.url}/api/v1/assets/pump/machine", json=machine, timeout=60)
+    assert answer.status_code == 200, answer.text
+    return service.url
+
+
+def test_a_machine_is_trained_from_its_history_and_lends_it_to_the_service_alone(
+    fleet, watched, capsys
+):
+    address = fleet[0].replace("each=machine", "machine=pump 1")
+    span = ["--healthy", "2026-03-01T00:00..2026-03-01T02:00"]
+    words = ["watch", "train", "pump", "--url", watched, "--json", "--from"]
+    assert run([*words, address, *span]) == DONE
+    told = json.loads(capsys.readouterr().out)
+    assert told["windows"] == 36 and told["alarms"] <= 1
+    assert "36 of 36 windows" in told["from"][0] and "machine=pump 1" in unquote_plus(
+        told["from"][0]
+    )
+    asked = f"{address}&start=2026-03-01&end=2026-03-01T02:00&window=200"
+    trained = RobustResidual().fit([rs.read(window) for window in windows_of(asked)])
+    assert told["learned"] == json.loads(json.dumps(trained.learned()))
+    api = f"{watched}/api/v1"
+    assert httpx.get(f"{api}/records", timeout=60).json()["items"] == []
+    assert httpx.get(f"{api}/assets/pump/machine", timeout=60).json()["baseline"] is True
+
+
+def test_what_cannot_be_trained_from_is_refused_and_leaves_nothing(
+    fleet, watched, tmp_path, capsys
+):
+    address = fleet[0].replace("each=machine", "machine=pump 1")
+    record = tmp_path / "healthy.npz"
+    rs.read(f"{address}&end=2026-03-01T00:10").save(record)
+    words = ["watch", "train", "pump", "--url", watched]
+    for more, says in (
+        (["--from", str(record)], "body, records: 1 are given; at least 5 are needed"),
+        (["--from", address, "--healthy", "2026-04..2026-03"], "ends before it begins"),
+        (["--from", address, "--healthy", "spring"], "must be BEGIN..END"),
+        (["--from", address, "--healthy", "2027-03..2027-04"], "no rows"),
+        (["--from", f"{address}&start=2026-03-01", "--healthy", "2026-03..2026-03"], "says start"),
+        (["--from", fleet[0], "--healthy", "2026-03..2026-03"], "windows of several machines"),
+        (["--from", str(record), "--healthy", "2026-03..2026-03"], "--from names none"),
+        (["--healthy", "2026-03..2026-03"], "it is missing"),
+        (["--from", str(record), "--from", str(tmp_path / "absent.npz")], "no such file"),
+    ):
+        assert run([*words, *more]) == BAD_INPUT
+        assert says in capsys.readouterr().err
+    api = f"{watched}/api/v1"
+    assert httpx.get(f"{api}/records", timeout=60).json()["items"] == []
+    assert httpx.get(f"{api}/assets/pump/machine", timeout=60).json()["baseline"] is False
 
 
 def test_windows_are_made_when_asked_for_and_found_by_their_addresses(plant):
