@@ -1,6 +1,7 @@
 """A plant's history at a second a row and twenty tags: rows a second, first rows, memory; windows of many machines judged.
 
     python -m benchmarks.histories postgresql://postgres@127.0.0.1/plant --machines 40 --hours 6
+    python -m benchmarks.histories postgresql://postgres@127.0.0.1/plant --judged --hours 8760 --every 60    # a year at a minute a row
 
 Makes the table `residuum_benchmark` in that database, an empty one of your own, and drops it in the end. Each reading is a
 process of its own: its peak of memory holds its imports, its time to the first rows does not. The client library alone only takes
@@ -18,6 +19,7 @@ import tempfile
 import time
 from collections.abc import Callable
 from contextlib import closing
+from datetime import datetime, timedelta
 from pathlib import Path
 from typing import Any
 
@@ -26,13 +28,15 @@ import psycopg
 
 from residuum.identification.record_formats.histories import HistoryReader, windows_of
 
-TABLE, TAGS, WINDOW = "residuum_benchmark", 20, 600
+TABLE, TAGS = "residuum_benchmark", 20
+WINDOW, HEALTHY = 600, 1800
+"""[rows] Of a window that is judged, and of what a machine's baseline is trained from."""
 BEGIN = "2026-03-01"
 COLUMNS = ["u", "y", *(f"t{k}" for k in range(2, TAGS))]
 
 
-def make_table(url: str, machines: int, hours: float) -> int:
-    """Inputs of ±1, outputs that follow them, and tags of noise; gives the number of rows."""
+def make_table(url: str, machines: int, hours: float, every: int = 1) -> int:
+    """A row in so many seconds: inputs of ±1, outputs that follow them, and tags of noise; gives the number of rows."""
     others = ", ".join(f"random() AS t{k}" for k in range(2, TAGS))
     follows = "0.5 * lag(u) OVER w + 0.25 * lag(u, 2) OVER w + 0.1 * lag(u, 3) OVER w"
     with psycopg.connect(url, autocommit=True) as connection:
@@ -41,10 +45,10 @@ def make_table(url: str, machines: int, hours: float) -> int:
         made = connection.execute(
             f"CREATE UNLOGGED TABLE {TABLE} AS SELECT time, machine, u,"
             f" coalesce({follows}, 0) + 0.02 * (random() + random() + random() - 1.5) AS y, {others}"
-            f" FROM (SELECT '{BEGIN}'::timestamptz + make_interval(secs => second) AS time,"
+            f" FROM (SELECT '{BEGIN}'::timestamptz + make_interval(secs => {every} * row) AS time,"
             " format('machine-%s', machine) AS machine, sign(random() - 0.5) AS u"
             f" FROM generate_series(1, {machines}) machine,"
-            f" generate_series(0, {round(3600 * hours) - 1}) second) AS drawn"
+            f" generate_series(0, {round(3600 * hours / every) - 1}) row) AS drawn"
             " WINDOW w AS (PARTITION BY machine ORDER BY time)"
         )
         connection.execute(f"CREATE INDEX ON {TABLE} (machine, time)")
@@ -84,21 +88,24 @@ def _rates(what: str, rows: int, begun: float, cpu: float) -> dict[str, Any]:
     }
 
 
-def judged(url: str, machines: int, workers: int) -> dict[str, Any]:
+def judged(url: str, machines: int, workers: int, every: int = 1) -> dict[str, Any]:
     """Windows of all machines by each one's baseline, killed when a third is done, and gone on with."""
     from residuum.diagnosis.diagnosers.robust_residual import RobustResidual
     from residuum.identification.record_formats import read_record
 
-    address = f"{url}/{TABLE}?tags=u,y"
+    address, window = f"{url}/{TABLE}?tags=u,y", WINDOW * every
+    healthy_until = (
+        f"{datetime.fromisoformat(BEGIN) + timedelta(seconds=HEALTHY * every):%Y-%m-%dT%H:%M:%S}"
+    )
     with tempfile.TemporaryDirectory() as name:
         folder, out = Path(name), Path(name) / "scored.jsonl"
         for machine in range(1, machines + 1):
-            healthy = read_record(f"{address}&machine=machine-{machine}&end={BEGIN}T00:30")
+            healthy = read_record(f"{address}&machine=machine-{machine}&end={healthy_until}")
             RobustResidual().fit([healthy]).save(folder / f"machine-{machine}.baseline")
         command = [sys.executable, "-m", "residuum", "rescore", "robust-residual"]
-        command += [f"{address}&each=machine&window={WINDOW}", "--baseline", name]
+        command += [f"{address}&each=machine&window={window}", "--baseline", name]
         command += ["--out", str(out), "--workers", str(workers), "--json"]
-        windows = len(windows_of(f"{address}&each=machine&window={WINDOW}"))
+        windows = len(windows_of(f"{address}&each=machine&window={window}"))
         first = subprocess.Popen(command, stderr=subprocess.DEVNULL)
         _until(lambda: out.exists() and out.read_bytes().count(b"\n") > windows / 3)
         first.kill()
@@ -162,6 +169,10 @@ def main() -> None:
     parser.add_argument("database")
     parser.add_argument("--machines", type=int, default=40)
     parser.add_argument("--hours", type=float, default=6.0)
+    parser.add_argument("--every", type=int, default=1, help="seconds a row")
+    parser.add_argument(
+        "--judged", action="store_true", help="judge alone, of what is read say nothing"
+    )
     parser.add_argument("--workers", type=int, default=2)
     parser.add_argument("--only", choices=["client", *map(str, (600, 3600, 86_400))])
     given = parser.parse_args()
@@ -180,13 +191,15 @@ def main() -> None:
     same = [given.database, "--machines", str(given.machines)]
     try:
         # one machine for long enough to read, then many
-        print("rows", make_table(given.database, 1, given.machines * given.hours))
-        for only in ("client", "600", "3600", "86400"):
+        if not given.judged:
+            print("rows", make_table(given.database, 1, given.machines * given.hours))
+        for only in () if given.judged else ("client", "600", "3600", "86400"):
             subprocess.run(
                 [sys.executable, "-m", "benchmarks.histories", *same, "--only", only], check=True
             )
-        print("rows", make_table(given.database, given.machines, given.hours))
-        print(json.dumps(judged(given.database, given.machines, given.workers), indent=1))
+        print("rows", make_table(given.database, given.machines, given.hours, given.every))
+        found = judged(given.database, given.machines, given.workers, given.every)
+        print(json.dumps(found, indent=1))
     finally:
         with psycopg.connect(given.database, autocommit=True) as connection:
             connection.execute(f"DROP TABLE IF EXISTS {TABLE}")
