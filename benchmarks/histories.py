@@ -1,7 +1,7 @@
 """A plant's history at a second a row and twenty tags: rows a second, first rows, memory; windows of many machines judged.
 
     python -m benchmarks.histories postgresql://postgres@127.0.0.1/plant --machines 40 --hours 6
-    python -m benchmarks.histories postgresql://postgres@127.0.0.1/plant --judged --hours 8760 --every 60    # a year at a minute a row
+    python -m benchmarks.histories postgresql://postgres@127.0.0.1/plant --judged --hours 8760 --every 60    # a year
 
 Makes the table `residuum_benchmark` in that database, an empty one of your own, and drops it in the end. Each reading is a
 process of its own: its peak of memory holds its imports, its time to the first rows does not. The client library alone only takes
