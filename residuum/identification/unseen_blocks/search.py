@@ -76,6 +76,7 @@ from residuum.identification.unseen_blocks.tried import (
     accurate,
     at_the_timing_it_suits,
     begun,
+    exchange,
     resolved,
     validated_in_nats,
     with_only,
@@ -99,20 +100,14 @@ def joins(outcome: Search, ranked: list[ValidatedFit]) -> bool:
     scale, before = outcome.validation.scale, outcome.best
     while True:
         real = real_ones(ranked, before, outcome.base, scale, outcome.tried)
-        if not real and ranked:
-            real = _leaving_noise(outcome, ranked)
+        real = real or _leaving_noise(outcome, ranked)
         if not real:
             return False
         chosen = simplest(real, scale)
         finer = resolved(chosen, before, outcome.validation)
         if finer is chosen:
             break
-        ranked[:] = sorted(
-            [*(fit for fit in ranked if fit is not chosen), *([] if finer is None else [finer])],
-            key=lambda rival: rival.cost,
-        )
-        if finer is not None:
-            outcome.every[finer.keys] = finer
+        exchange(outcome, ranked, chosen, finer)
     outcome.best = chosen
     outcome.group = all_alike(ranked, chosen, before, scale)
     return True
@@ -122,7 +117,7 @@ def _leaving_noise(outcome: Search, ranked: Sequence[ValidatedFit]) -> list[Vali
     """The simplest of the best, where it leaves nothing but noise and is real in nats of that: what
     acts seldom, a limit that is rarely met, is ahead in few blocks alone.
     """
-    if outcome.validation.scale.nats:
+    if outcome.validation.scale.nats or not ranked:
         return []
     chosen = simplest(ranked, outcome.validation.scale)
     if chosen.cost >= outcome.best.cost:

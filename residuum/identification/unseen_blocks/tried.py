@@ -249,6 +249,19 @@ def resolved(
     return validation.validate(finer, steps=15, tolerance=1e-5)
 
 
+def exchange(
+    outcome: Search, ranked: list[ValidatedFit], found: ValidatedFit, other: ValidatedFit | None
+) -> None:
+    """Another fit of the same structure in the place of one, among those `ranked` and all that were
+    tried; nothing in its place where there is none.
+    """
+    ranked.remove(found)
+    if other is not None:
+        outcome.every[other.keys] = other
+        ranked.append(other)
+        ranked.sort(key=lambda rival: rival.cost)
+
+
 def _modal_steps(found: ValidatedFit, last: Horizon) -> list[int]:
     """Steps a sample that the fastest mode of each window asks for."""
     simulator = Simulator(found.model)
