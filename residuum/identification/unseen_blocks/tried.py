@@ -22,7 +22,7 @@ from residuum.identification.unseen_blocks.cross_validation import (
     validated,
 )
 from residuum.identification.unseen_blocks.data import Data, Horizon, one_turned, turned
-from residuum.identification.unseen_blocks.policy import NOISY, ONE_PHYSICS, UNEVEN
+from residuum.identification.unseen_blocks.policy import COARSE, NOISY, ONE_PHYSICS, UNEVEN
 from residuum.identification.unseen_blocks.proposals import special_of
 from residuum.identification.unseen_blocks.scale import Scale, clipped, of_noise, of_power
 from residuum.identification.unseen_blocks.structure import Structure, descended, innovations_on
@@ -238,15 +238,19 @@ def resolved(
     windows = validation.last.windows
     taken = found.structure.steps[windows]
     needed = _modal_steps(found, validation.last)
-    if not any(n > own for n, own in zip(needed, taken, strict=True)):
+    if not _too_few(taken, needed):
         return found
     # a machine that is stiffer than any search follows stays as it was followed
     needed_before = _modal_steps(before, validation.last)
-    if not any(n > max(m) for n, *m in zip(needed, taken, needed_before, strict=True)):
+    if not _too_few(np.maximum(taken, needed_before).tolist(), needed):
         return found
     steps = np.maximum(needed, taken).tolist()
     finer = replace(found.structure, steps={**found.structure.steps, windows: steps})
     return validation.validate(finer, steps=15, tolerance=1e-5)
+
+
+def _too_few(taken: Sequence[int], needed: Sequence[int]) -> bool:
+    return any(n > COARSE * own for n, own in zip(needed, taken, strict=True))
 
 
 def exchange(
