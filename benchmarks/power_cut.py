@@ -36,7 +36,7 @@ from residuum.service.storage.backup import BackupReader, BadBackup, restore_bac
 from residuum.service.storage.blocks import Blocks
 from residuum.service.storage.database import Database, known_revisions, newest_revision
 from residuum.service.storage.rows.block_rows import references
-from residuum.service.window_queue.gateway import Spool
+from residuum.service.window_queue.spool import Spool
 
 WAYS = ((0.0, 0.0), (1.0, 1.0), (1.0, 0.0), (0.0, 1.0), (0.5, 0.5), (1.0, 0.5))
 """Parts of names and sectors, not yet synced, that a cut leaves."""

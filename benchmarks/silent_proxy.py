@@ -27,6 +27,7 @@ class SilentProxy:
         self._carries = threading.Event()
         self._carries.set()
         self.connections = 0
+        self._open: set[socket.socket] = set()
         threading.Thread(target=self._accept, daemon=True).start()
 
     def fall_silent(self) -> None:
@@ -36,6 +37,12 @@ class SilentProxy:
     def speak(self) -> None:
         """Carry again."""
         self._carries.set()
+
+    def cut(self) -> None:
+        """End every connection in the midst of what it carries."""
+        for client in tuple(self._open):
+            with contextlib.suppress(OSError):
+                client.shutdown(socket.SHUT_RDWR)
 
     def close(self) -> None:
         """Accept nobody any more."""
@@ -50,6 +57,13 @@ class SilentProxy:
                 threading.Thread(target=self._carry, args=(client,), daemon=True).start()
 
     def _carry(self, client: socket.socket) -> None:
+        self._open.add(client)
+        try:
+            self._carried(client)
+        finally:
+            self._open.discard(client)
+
+    def _carried(self, client: socket.socket) -> None:
         with client, contextlib.suppress(OSError):
             self._carries.wait()
             with socket.create_connection(self._target) as server:

@@ -2,44 +2,31 @@
 
     python -m benchmarks.unit_bombs --bombs 500
 
-Units are drawn from a grammar of what would be computed for minutes, fill memory or never end. Each is sent as JSON, as CSV and
-in a model (YAML) to a service in a process of its own, whose event loop is watched; and, where Mosquitto is installed, in windows
-over a broker to a scorer. Every one must be answered within a second, the loop may not be held up for more than 100 ms, and what
-the scorer refuses must be set aside with its reason. The exit status is 1 when one is not.
+Units are drawn from a grammar of what would be computed for minutes, fill memory or never end. Each is sent as JSON, as CSV, as
+NPZ (as a gateway sends windows) and in a model (YAML) to a service in a process of its own, whose event loop is watched. Each
+must be answered within a second, and the loop may not be held up for more than 100 ms. The exit status is 1 when one is not.
 """
 
 from __future__ import annotations
 
 import argparse
+import io
 import json
-import logging
 import multiprocessing
 import random
-import subprocess
 import sys
 import tempfile
-import threading
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator
 from http.client import HTTPConnection
-from pathlib import Path
 from typing import Any
 
 import numpy as np
-import structlog
 
 from benchmarks.event_loop import GATE, serve
 from benchmarks.free_port import free_port
 from benchmarks.http_cases import _wait
-from benchmarks.programs import find_program
-from residuum.identification.units import read_registry
-from residuum.service.broker import broker_address
-from residuum.service.storage import DiskStore
-from residuum.service.window_queue.scorer import Scorer
-from residuum.service.window_queue.set_aside import SetAside
-from residuum.service.window_queue.window_message import WindowMessage, window_topic
-from residuum.service.work.worker_pool import PlainRecord, WorkerPool
 
 WITHIN = 1.0
 KNOWN = (
@@ -122,6 +109,14 @@ def as_csv(bomb: str, number: int) -> tuple[str, str, bytes]:
     )
 
 
+def as_npz(bomb: str, number: int) -> tuple[str, str, bytes]:
+    """A window as a gateway sends it."""
+    file = io.BytesIO()
+    units = np.array(json.dumps({"acceleration": bomb}))
+    np.savez(file, acceleration=np.array([0.0, number]), sample_time=1e-3, units=units)
+    return "/api/v1/score/bearing", "application/zip", file.getvalue()
+
+
 def as_model(bomb: str, number: int) -> tuple[str, str, bytes]:
     """A model whose state, parameter and output have the unit."""
     path = f"/api/v1/models?name=bomb-{number}&kind=physical"
@@ -131,6 +126,7 @@ def as_model(bomb: str, number: int) -> tuple[str, str, bytes]:
 WAYS: dict[str, Callable[[str, int], tuple[str, str, bytes]]] = {
     "JSON": as_json,
     "CSV": as_csv,
+    "NPZ": as_npz,
     "YAML": as_model,
 }
 
@@ -157,67 +153,6 @@ def ask(port: int, way: str, drawn: list[str]) -> dict[str, Any]:
     return {"answers": dict(sorted(statuses.items())), "longest": longest, "wrong": wrong}
 
 
-def by_broker(port: int, data: Path, drawn: list[str]) -> dict[str, Any]:
-    """Send all in windows over the broker at a port to a scorer, and a good one after them; what became of them."""
-    import paho.mqtt.client as mqtt  # the extra `mqtt`
-
-    store = DiskStore(data, f"sqlite:///{data / 'residuum.db'}")
-    pool = WorkerPool(1)
-    scorer = Scorer(broker_address(f"mqtt://127.0.0.1:{port}/plant"), 1, 1, pool, store, data)
-    client = mqtt.Client(mqtt.CallbackAPIVersion.VERSION2)
-    receipts: dict[str, float] = {}
-    refused: dict[str, str] = {}
-    subscribed = threading.Event()
-
-    def take(_client: Any, _data: Any, message: Any) -> None:
-        receipt = json.loads(message.payload)
-        if receipt["key"] not in receipts:
-            receipts[receipt["key"]] = time.perf_counter()
-            if receipt["refused"]:
-                refused[receipt["key"]] = receipt["refused"]
-
-    client.on_message, client.on_subscribe = take, lambda *_: subscribed.set()
-    client.connect("127.0.0.1", port)
-    client.loop_start()
-    client.subscribe("plant/receipts/#", qos=1)
-    subscribed.wait(60)
-    scorer.start()
-    signal = np.random.default_rng(0).normal(size=500)
-    sent: dict[str, float] = {}
-
-    def send(key: str, unit: str) -> None:
-        """Again until there is a receipt: a broker forgets what comes before the scorer has subscribed."""
-        window = PlainRecord({"acceleration": signal}, {"acceleration": unit}, 1e-3, 0.0, "bomb")
-        payload = WindowMessage("press", "bearing", "press", window).pack()
-        sent[key] = time.perf_counter()
-        while key not in receipts:
-            client.publish(
-                window_topic("plant", "press", "hall", key), payload, qos=1
-            ).wait_for_publish(60)
-            end = time.perf_counter() + 20
-            while key not in receipts and time.perf_counter() < end:
-                time.sleep(0.002)
-
-    try:
-        send("first", "m/s²")
-        for number, bomb in enumerate(drawn):
-            send(f"bomb-{number}", bomb)
-        send("last", "m/s²")
-    finally:
-        scorer.stop()
-        client.disconnect()
-        client.loop_stop()
-        pool.terminate()
-        store.close()
-    times = [receipts[key] - sent[key] for key in sent if key.startswith("bomb")]
-    return {
-        "refused": len(refused),
-        "set aside": SetAside(data).count,
-        "longest": max(times),
-        "last": "last" not in refused,
-    }
-
-
 def campaign(count: int, seed: int = 0) -> dict[str, Any]:
     """All ways; each with the answers and the longest time, and the longest stall of the service's event loop."""
     drawn = [bomb for bomb, _ in zip(bombs(random.Random(seed)), range(count), strict=False)]
@@ -237,27 +172,7 @@ def campaign(count: int, seed: int = 0) -> dict[str, Any]:
         finally:
             service.kill()
             service.join()
-        found["broker"] = _through_mosquitto(Path(folder), drawn)
     return found
-
-
-def _through_mosquitto(folder: Path, drawn: list[str]) -> dict[str, Any]:
-    if (mosquitto := find_program("mosquitto")) is None:
-        return {"not tried": "Mosquitto is not installed"}
-    port = free_port()
-    (folder / "mosquitto.conf").write_text(f"listener {port} 127.0.0.1\nallow_anonymous true\n")
-    with subprocess.Popen(
-        [mosquitto, "-c", f"{folder}/mosquitto.conf"], stderr=subprocess.DEVNULL
-    ) as broker:
-        try:
-            _wait(port)
-            read_registry()
-            structlog.configure(
-                wrapper_class=structlog.make_filtering_bound_logger(logging.CRITICAL)
-            )
-            return by_broker(port, folder / "scorer", drawn)
-        finally:
-            broker.terminate()
 
 
 def main() -> None:
@@ -270,9 +185,7 @@ def main() -> None:
         print(f"{way:<8}{figures}")
     late = [way for way, figures in found.items() if figures.get("longest", 0.0) > WITHIN]
     held_up = [way for way, figures in found.items() if figures.get("longest stall", 0.0) > GATE]
-    broker = found["broker"]
-    lost = broker.get("refused") != broker.get("set aside") or not broker.get("last", True)
-    if late or held_up or lost or any(figures.get("wrong") for figures in found.values()):
+    if late or held_up or any(figures.get("wrong") for figures in found.values()):
         sys.exit(1)
 
 

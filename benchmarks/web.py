@@ -1,4 +1,5 @@
-"""The page in Debian's Chromium: bytes over the wire, first paint, zooming into 10⁶ samples, memory of twenty tabs.
+"""The page in Debian's Chromium: bytes over the wire, first paint, zooming into 10⁶ samples, memory of twenty tabs, the work of
+the plant's page of forty machines for each window that is judged.
 
 The server is a process of its own with one machine and one window of 10⁶ samples, a one-sample spike in each hundred
 thousand. Bytes are what the server sends for the plant's page with everything it loads but the chart library, packed as
@@ -8,6 +9,7 @@ last drawing of the new samples; at every stage the chart must hold the largest 
 
 from __future__ import annotations
 
+import json
 import resource
 import shutil
 import statistics
@@ -21,7 +23,7 @@ from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
-from playwright.sync_api import Browser, Page, sync_playwright
+from playwright.sync_api import Browser, CDPSession, Page, sync_playwright
 
 import residuum.service.web
 from benchmarks.free_port import free_port
@@ -33,6 +35,7 @@ from residuum.service.storage import DiskStore
 N, RATE = 1_000_000, 100_000
 SPIKES = range(50_000, N, 100_000)
 TABS = 20
+MACHINES, ROUNDS = 40, 5
 MB = 1e6
 CHART = "document.querySelector('[aria-label=Signal]')"
 
@@ -164,6 +167,58 @@ def growth(browser: Browser, url: str, server: int) -> float:
     return (after - before) / MB
 
 
+def updates(browser: Browser, url: str) -> tuple[float, int]:
+    """Seconds of the main thread that the plant's page of forty machines takes for one judged window, and how many of its
+    tasks took 50 ms or more (of those a browser tells).
+    """
+    for number in range(MACHINES):
+        _judged(url, number)
+    page = browser.new_page()
+    page.goto(url)
+    page.wait_for_function(f"() => document.querySelectorAll('.machine').length > {MACHINES - 1}")
+    page.wait_for_timeout(3000)
+    page.evaluate(_LONG_TASKS)
+    session = page.context.new_cdp_session(page)
+    session.send("Performance.enable")
+    before = _task_seconds(session)
+    for number in range(MACHINES * ROUNDS):
+        _judged(url, number % MACHINES)
+    page.wait_for_timeout(3000)
+    spent = _task_seconds(session) - before
+    long = int(page.evaluate("longTasks.length"))
+    page.close()
+    return spent / (MACHINES * ROUNDS), long
+
+
+_LONG_TASKS = """() => {
+  window.longTasks = [];
+  new PerformanceObserver((list) => longTasks.push(...list.getEntries())).observe({ entryTypes: ['longtask'] });
+}"""
+
+
+def _task_seconds(session: CDPSession) -> float:
+    metrics = session.send("Performance.getMetrics")["metrics"]
+    return float(next(each["value"] for each in metrics if each["name"] == "TaskDuration"))
+
+
+def _judged(url: str, number: int) -> None:
+    """One window of a machine, stored and judged."""
+    signal = np.random.default_rng(number).normal(size=4096)
+    window = {
+        "sample_time": 1e-4,
+        "channels": {"acceleration": signal.tolist()},
+        "units": {"acceleration": "m/s²"},
+    }
+    urllib.request.urlopen(
+        urllib.request.Request(
+            f"{url}/api/v1/assets/machine-{number:02d}/windows?diagnoser=bearing",
+            json.dumps(window).encode(),
+            {"content-type": "application/json"},
+        ),
+        timeout=60,
+    ).close()
+
+
 def _memory(server: int) -> int:
     """Resident bytes of the server and its own worker processes."""
     parents = {}
@@ -191,6 +246,7 @@ def main() -> None:
             own, plain, library = sent(browser, url)
             paints, (times, lost) = first_paints(browser, url), zooms(browser, url)
             grown = growth(browser, url, server.pid)
+            update, long = updates(browser, url)
             browser.close()
         finally:
             server.terminate()
@@ -207,6 +263,8 @@ def main() -> None:
     print(f"| zoom in 10⁶ samples (median, worst of {len(times)}) | {_pair(times)} s | 0.5 s |")
     print(f"| stretches without their one-sample spike, of {len(times) + 1} | {lost} | 0 |")
     print(f"| server's memory for {TABS} more tabs | {grown:.1f} MB | 20 MB |")
+    print(f"| page of {MACHINES} machines, work a judged window | {1e3 * update:.0f} ms | 100 ms |")
+    print(f"| its tasks of 50 ms and more, of {MACHINES * ROUNDS} windows | {long} | – |")
 
 
 def _pair(values: list[float]) -> str:

@@ -177,7 +177,7 @@ def effect_section(effect):
         [
             f"## {effect.id}\n",
             f"**{effect.title}**: {cell(effect.equation)}\n",
-            f"{inspect.getdoc(type(effect)).splitlines()[0]}\n",
+            f"{paragraphs(inspect.getdoc(type(effect)))[0]}\n",
             f"Acts on: {', '.join(effect.acts_on)}. Needs: {', '.join(effect.needs) or 'nothing more'}. "
             f"Source: {effect.reference}.\n",
             "| parameter | unit (example) | bounds | meaning |\n|---|---|---|---|",
@@ -247,7 +247,12 @@ def anchor(name):
 
 def first_line(item):
     """The first sentence of its documentation."""
-    return inspect.getdoc(item).split("\n\n")[0].replace("\n", " ").replace("|", "∣")
+    return paragraphs(inspect.getdoc(item))[0].replace("|", "∣")
+
+
+def paragraphs(text):
+    """The paragraphs of a docstring, each as one line: where its lines end says nothing."""
+    return [" ".join(part.split()) for part in text.strip().split("\n\n")]
 
 
 def name_section(name, item):
@@ -307,11 +312,9 @@ def commands_page():
 
 def usage(name, command):
     """A command's arguments and options as tables."""
-    lines = [
-        f"```text\n{name} {' '.join(p.make_metavar_text for p in map(Shown, command.params) if p.argument)}\n```\n"
-    ]
-    if (help_ := (command.help or "").strip().splitlines()) and help_[0]:
-        lines.append(help_[0] + "\n")
+    arguments = [p.make_metavar_text for p in map(Shown, command.params) if p.argument]
+    lines = [f"```text\n{' '.join([name, *arguments])}\n```\n"]
+    lines += [part + "\n" for part in paragraphs(command.help or "") if part]
     rows = [f"| `{p.name}` | {p.help} |" for p in map(Shown, command.params) if p.name != "--help"]
     return "\n".join([*lines, "| argument or option | meaning |\n|---|---|", *rows, ""])
 
@@ -393,7 +396,7 @@ def routes_page():
 
 def first_sentence(route):
     """The first paragraph of a route's description."""
-    return (route.get("description") or route.get("summary") or "").split("\n\n")[0]
+    return paragraphs(route.get("description") or route.get("summary") or "")[0]
 
 
 class Shown:

@@ -109,7 +109,7 @@ class Explanation(Result):
                 "error_before": c.error_before,
                 "error_after": c.error_after,
                 "error_unit": c.error_unit,
-                "indistinguishable_from": list(c.indistinguishable_from),
+                "indistinguishable_from": list(c.rivals),
                 "step": c.step,
             }
             for c in self.found.candidates

@@ -20,9 +20,7 @@ from residuum.identification.physics import Experiment, PhysicalModel, estimate,
 from residuum.identification.physics.effects.base import Parameter
 from residuum.identification.physics.fmu.co_simulation import OwnSimulation
 from residuum.identification.physics.fmu.description import Description
-from residuum.identification.physics.fmu.fmu_model import exchange_model
 from residuum.identification.physics.fmu.instance import Instance, instance_of
-from residuum.identification.physics.fmu.loaded_library import LoadedLibrary, library_of
 from residuum.identification.physics.fmu.parameter_file import (
     Named,
     free_missing,
@@ -41,10 +39,14 @@ from residuum.identification.physics.fmu.simulated_model import (
 from residuum.identification.physics.fmu.watched_model import exchanged_model, watched_model
 from residuum.identification.record import Record as MeasuredRecord
 from residuum.identification.residual_analysis.feedback import at_likelier_timing
-from residuum.library.improvement import Estimation
+from residuum.identification.unseen_blocks.foreign_values import answers, doubting, with_answers
+from residuum.library.explanation import Explanation
+from residuum.library.improvement import Estimation, Improvement
 from residuum.library.model import Mapped, Model, Records
+from residuum.library.progress import Progress
 from residuum.library.questions import asks
 from residuum.library.questions.estimate import Estimate
+from residuum.library.questions.missing_effect import Explain, Improve
 from residuum.library.reading import as_records
 from residuum.library.record import Record
 from residuum.library.whole_file import write_whole
@@ -88,7 +90,7 @@ def fmu(path: str | PathLike[str]) -> FmuModel:
 
 class FmuModel(Model):
     """An FMU, the values that its parameters were given, and effects added to it. Immutable, as a
-    `Model` is. `improve` leaves the FMU's own parameters as they are.
+    `Model` is. `improve` leaves the FMU's own parameters as they are, but for those in `free`.
 
     Made by `rs.fmu`.
 
@@ -110,14 +112,11 @@ class FmuModel(Model):
         given: str | None = None,
     ) -> None:
         self._described, self._values = described, dict(values)
-        self._library: LoadedLibrary | None = None
         self._own: OwnSimulation | None = None
         # With states that can be read and set effects act in balances; any other FMU is simulated
         # along a record, and effects are judged on the paths of its outputs.
         if described.is_exchangeable:
-            self._library = library_of(self._instance)
-            self._library.settle(self._set)
-            physical = exchange_model(self._library)
+            physical = exchanged_model(described, {}, held=self._set)
         else:
             self._own = _own_simulation(self._instance)
             physical = simulated_model(described)
@@ -172,8 +171,6 @@ class FmuModel(Model):
 
     def _simulated(self, records: Sequence[MeasuredRecord], map: Mapped) -> list[MeasuredRecord]:
         """The records with what an FMU that simulates itself computes along them."""
-        if self._library is not None:
-            self._library.settle(self._set)
         if self._own is None:
             return list(records)
         simulated = with_simulation(
@@ -215,12 +212,100 @@ class FmuModel(Model):
         (simulated,) = self._simulated([record], map)
         return super().simulate(simulated, map=map, initial=initial)
 
+    @asks(Explain)
+    def explain(
+        self, records: Records, *, map: Mapped = None, progress: Progress = None, **given: Any
+    ) -> Explanation:
+        """Which physical effect is missing, or which of the FMU's own parameters has another value?
+        That is told nearly; `estimate(free=[…])` tells it exactly.
+
+        Parameters
+        ----------
+        records : Record, file, or a list of these
+        map : mapping of model name to column
+        progress : callable or bool
+            As in `Model.explain`.
+
+        Returns
+        -------
+        Explanation
+
+        Raises
+        ------
+        BadRecord, BadUnit, BadModel, NotIdentifiable
+            As in `Model.explain`.
+        """
+        lent, measured = self._doubting(records, map, ())
+        why = lent.explain(measured, map=map, progress=progress, **given)
+        # How outputs answer is no signal of the machine: the FMU is compared as it is.
+        return replace(why, comparison=self.compare(records, map=map))
+
+    @asks(Improve)
+    def improve(
+        self, records: Records, *, map: Mapped = None, progress: Progress = None, **given: Any
+    ) -> Improvement[Any]:
+        """Add effects, and count the error on data that were not used for it; the FMU's own
+        parameters stay as they are, but for those in `free`.
+
+        Parameters
+        ----------
+        records : Record, file, or a list of these
+        map : mapping of model name to column
+        progress : callable or bool
+            As in `Model.explain`.
+
+        Returns
+        -------
+        Improvement
+
+        Raises
+        ------
+        BadInput
+            A name in `free` that is no fixed or tunable parameter of the FMU.
+        BadModel
+            `free` of an FMU that can only simulate itself: `estimate` takes its parameters.
+        BadRecord, BadUnit, NotIdentifiable
+            As in `Model.improve`.
+        """
+        free = Improve.of(given).free or ()
+        lent, measured = self._doubting(records, map, free)
+        improvement = lent.improve(measured, map=map, progress=progress, **given)
+        improved = self._changed(improvement.found.model)
+        if free:
+            # Nearly so far: the effects' values move with the FMU's own.
+            names = [*free, *improved.physical.free]
+            improved = improved.estimate(records, map=map, free=names, anyway=True).model
+        return replace(improvement, model=improved)
+
+    def _doubting(
+        self, records: Records, map: Mapped, free: Sequence[str]
+    ) -> tuple[Model, list[MeasuredRecord]]:
+        """The model whose outputs answer those of the FMU's parameters that the errors resemble,
+        and those in `free`, and the records with how they do; as they are, where the FMU can only
+        simulate itself.
+        """
+        if self._own is not None:
+            return Model(self.physical, self._given), self._measured(records, map)
+        for name in free:
+            settable(self._described, name)
+        taken = as_records(records)
+        offered = self._described.parameters.values()
+        known = {p.name: self._values.get(p.name) or parameter_of(p) for p in offered}
+        held = {n: replace(p, fixed=True) for n, p in known.items() if n in free or p.value != 0.0}
+        model, lent = self._lent(held, taken, map)
+        found = answers(*match(model.physical, model._measured(lent, map), map), free)
+        # Only now: it sets the FMU's own values again.
+        measured = self._measured(taken, map)
+        return Model(doubting(self.physical, found), self._given), with_answers(
+            measured, self.physical, found
+        )
+
     @asks(Estimate)
     def estimate(self, records: Records, *, map: Mapped = None, **given: Any) -> Estimation[Any]:
         """Estimate parameters of the FMU, and of effects, by the error of simulation.
 
         Slopes are the FMU's directional derivatives where it gives them by a parameter, else
-        central differences of whole simulations, whose step `slopes` of the answer tells. A
+        differences of whole simulations, whose step `slopes` of the answer tells. A
         simulation begins by the FMU's reset, or by its state where it can bring one back.
 
         Parameters

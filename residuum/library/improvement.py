@@ -15,7 +15,7 @@ from residuum.identification.physics.estimation.unsettled import disagreement
 from residuum.identification.physics.simulate.record_checks import begins_elsewhere, leaves_tables
 from residuum.library.answers.comparison import warning_lines
 from residuum.library.answers.estimation import estimate_json, estimate_text
-from residuum.library.answers.improvement import improvement_json, improvement_text
+from residuum.library.answers.improvement import improvement_json, improvement_text, step_text
 from residuum.library.picture import Bars, Curve, Panel, Picture, axis
 from residuum.library.result import Result, Row
 
@@ -81,8 +81,8 @@ class Improvement(Result, Generic[M]):
     def _rows(self) -> Sequence[Row]:
         unit = self.found.error_unit
         return [
-            {"added": s["added"] or "the model as it was", "error": s["error"], "unit": unit}
-            for s in self.history
+            {"added": step_text(step), "error": step.error, "unit": unit}
+            for step in self.found.history
         ]
 
     def _picture(self) -> Picture:

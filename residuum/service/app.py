@@ -41,8 +41,6 @@ from residuum.service.storage.disk_store import SETTLED, DiskStore
 from residuum.service.storage.retention import Retention
 from residuum.service.store import Alarm, Page, StorageUnavailable
 from residuum.service.web import web_routes
-from residuum.service.window_queue.set_aside import SetAside
-from residuum.service.window_queue.stored_windows import StoredWindows, Told
 from residuum.service.work.jobs import Jobs
 from residuum.service.work.worker_pool import WorkerPool
 
@@ -77,7 +75,7 @@ def create_app(settings: Settings, make_pipeline: MakePipeline | None = None) ->
     def pipeline_status() -> Mapping[str, Any]:
         return app.state.services.pipeline.status()
 
-    metrics = Metrics(pipeline_status, lambda: SetAside(settings.data).count)
+    metrics = Metrics(pipeline_status)
     shared = _SharedWithGate(metrics, keys, refusals)
 
     @asynccontextmanager
@@ -141,21 +139,13 @@ async def _running(
     metrics, keys, refusals = shared
     events, notifications = Events(), Notifications(settings)
 
-    shown = Told()
     outs: list[Any] = []
 
-    def show(kind: str, payload: Mapping[str, Any]) -> None:
+    def announce(kind: str, payload: Mapping[str, Any]) -> None:
         metrics.event(kind, payload)
         events.publish(kind, payload)
-        if kind == "reset":
-            tell_latest(store, outs)
         for out in outs:
             out.tell(kind, payload)
-
-    def announce(kind: str, payload: Mapping[str, Any]) -> None:
-        # a finding may come back as the news of a scorer, and is shown once
-        if kind != "finding" or shown.first(payload["id"]):
-            show(kind, payload)
         notifications.tell(kind, payload)
 
     def rule_of(asset: str) -> AlarmRule:
@@ -194,6 +184,7 @@ async def _running(
             metrics,
             pipeline,
             keys,
+            executor,
             notifications.troubles,
         )
         await _tell_start(settings, store)
@@ -217,10 +208,6 @@ async def _running(
         await pipeline.start()
         # routes are put together at first use, which would hold up whoever asks then
         await asyncio.to_thread(app.openapi)
-        if settings.mqtt:
-            elsewhere = StoredWindows(settings.broker, store, shown, show, metrics.stored_message)
-            elsewhere.start()
-            ends(elsewhere.stop)
         started.callback(events.close)
         yield services
     log.info("stopped")

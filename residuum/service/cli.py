@@ -15,7 +15,7 @@ import typer
 from residuum.identification.errors import SAID_IN, BadInput
 from residuum.identification.physics.fmu.permission import holds_fmu
 from residuum.nearest_names import known_names
-from residuum.service.commands import COMMANDS, as_option
+from residuum.service.commands import COMMANDS, FORMER, as_option
 from residuum.service.entry import end_at_once
 from residuum.service.work.loaded_modules import loading_modules
 
@@ -41,6 +41,8 @@ def run(arguments: list[str]) -> int:
         sys.stdout.write(f"residuum {version('residuum')}\n")
         return DONE
     name, *words = arguments
+    if name in FORMER:
+        return _refuse(f"command {name!r}: is no more; {FORMER[name]}")
     if name not in COMMANDS:
         return _refuse(
             f"command {name!r}: there is none of this name; {known_names(name, COMMANDS)}"

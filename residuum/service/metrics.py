@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping
 from typing import Any
 
-from prometheus_client import CollectorRegistry, Counter, Gauge, Histogram, generate_latest
+from prometheus_client import CollectorRegistry, Counter, Histogram, generate_latest
 from prometheus_client.core import GaugeMetricFamily
 from prometheus_client.metrics_core import Metric
 from prometheus_client.registry import Collector
@@ -27,9 +27,7 @@ class Metrics:
     A registry of its own, so that several services can live in one process (tests).
     """
 
-    def __init__(
-        self, status: Callable[[], Mapping[str, Any]], set_aside: Callable[[], int] = lambda: 0
-    ) -> None:
+    def __init__(self, status: Callable[[], Mapping[str, Any]]) -> None:
         self._registry = CollectorRegistry()
         labels = ("method", "route", "status")
         self._requests = Counter(
@@ -54,24 +52,12 @@ class Metrics:
             ("asset", "state"),
             registry=self._registry,
         )
-        self._news = Counter(
-            "residuum_stored_messages",
-            "Messages about windows that scorers stored",
-            ("outcome",),
-            registry=self._registry,
-        )
         self._stalls = Histogram(
             "residuum_event_loop_stall_seconds",
             "Times for which the event loop was held up [s]",
             buckets=_STALLS,
             registry=self._registry,
         )
-        aside = Gauge(
-            "residuum_set_aside_messages",
-            "Messages of the broker that were set aside",
-            registry=self._registry,
-        )
-        aside.set_function(set_aside)
         # label objects by request; bounded, for routes, methods and statuses are
         self._children: dict[tuple[str, str, int], tuple[Counter, Histogram]] = {}
         self._registry.register(_Status(status))
@@ -94,10 +80,6 @@ class Metrics:
             self._findings.labels(payload["asset"], payload["verdict"]).inc()
         elif kind == "alarm" and not payload.get("text_alone"):
             self._alarms.labels(payload["asset"], payload["state"]).inc()
-
-    def stored_message(self, outcome: str) -> None:
-        """Count a message about a window that a scorer stored: taken, refused or overflow."""
-        self._news.labels(outcome).inc()
 
     def stall(self, seconds: float) -> None:
         """Count a time for which the event loop was held up."""

@@ -16,7 +16,7 @@ from residuum.identification.errors import BadInput, BadModel, Forbidden
 from residuum.identification.linear_models.identified_model_file import load_identified
 from residuum.identification.physics.files.model_file import load_model
 from residuum.identification.physics.fmu.description import describe
-from residuum.identification.physics.fmu.permission import ARRAY, holds_fmu
+from residuum.identification.physics.fmu.permission import ARRAY, check_size, holds_fmu, is_packed
 from residuum.service.machines.scoring import diagnoser_class
 from residuum.service.work.limited_process import run_limited, within_limits
 
@@ -24,6 +24,7 @@ MODEL_KINDS: dict[str, tuple[str, str]] = {
     "physical": ("application/yaml", ".yaml"),
     "identified": ("application/json", ".json"),
     "baseline": ("application/zip", ".zip"),
+    "fmu": ("application/octet-stream", ".fmu"),
 }
 """Media type and file ending of each kind."""
 
@@ -32,6 +33,10 @@ _NO_FMUS = (
     "model file: holds an FMU, which is native code; this service runs none, as its setting"
     " allow_fmus says"
 )
+_IS_PACKED = (
+    "model file: is packed, as an FMU is, and no text; an FMU is stored as kind=fmu, where the"
+    " service's setting allow_fmus is on"
+)
 # Bytes up to which a model's text is read in the service itself: parsing YAML of 200 kB takes
 # seconds of the interpreter.
 _SHORT = 16 * 2**10
@@ -39,7 +44,7 @@ _SHORT = 16 * 2**10
 
 def is_read_apart(kind: str, content: bytes) -> bool:
     """Whether a file is checked in a process of its own: it is long, or packed."""
-    return kind == "baseline" or len(content) > _SHORT
+    return kind in ("baseline", "fmu") or len(content) > _SHORT
 
 
 def check_long_model_file(
@@ -83,11 +88,15 @@ def check_model_file(
     all that is wrong with the file.
     """
     reader = _reader(kind, diagnoser)
+    if kind == "physical" and is_packed(content):
+        raise BadModel(_IS_PACKED)
+    if kind == "fmu" and not fmus:
+        raise Forbidden(_NO_FMUS)
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / f"model{MODEL_KINDS[kind][1]}"
         file.write_bytes(content)
         try:
-            if fmus and holds_fmu(file):
+            if kind == "baseline" and fmus and holds_fmu(file):
                 _check_fmu_baseline(file, diagnoser or "")
             else:
                 reader(file)
@@ -101,6 +110,12 @@ def check_model_file(
             ) from None
 
 
+def _check_fmu(file: Path) -> None:
+    """Read what the FMU says of itself; nothing of it is loaded."""
+    check_size(file)
+    describe(file)
+
+
 def _check_fmu_baseline(file: Path, diagnoser: str) -> None:
     """Read what is stored, and what the FMU in it says of itself."""
     file.write_bytes(load_stored(file, diagnoser).arrays[ARRAY].tobytes())
@@ -112,7 +127,7 @@ def _reader(kind: str, diagnoser: str | None) -> Callable[[Path], object]:
         if diagnoser is None:
             raise BadInput("query: diagnoser is missing; a baseline needs it")
         return diagnoser_class(diagnoser).load
-    return load_model if kind == "physical" else load_identified
+    return {"physical": load_model, "fmu": _check_fmu}.get(kind, load_identified)
 
 
 def main(memory: int, seconds: int, name: str, kind: str, diagnoser: str, *more: str) -> int:

@@ -14,7 +14,6 @@ import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
-from datetime import UTC, datetime
 from functools import partial
 from typing import Any
 
@@ -24,11 +23,10 @@ from pydantic import ValidationError
 
 from residuum.identification.errors import BadInput
 from residuum.service.broker import BrokerAddress, connected_client, try_connection
-from residuum.service.fieldbus.source import Backoff
+from residuum.service.receivers.delivery import Delivery, Words
 from residuum.service.receivers.receiver_settings import (
     PATIENCE,
     ReceiverSettings,
-    Refused,
     Send,
 )
 from residuum.service.receivers.webhook import Webhook
@@ -48,11 +46,22 @@ NoteOrder = Callable[[int, str, str], None]
 """Keeps of (alarm, number of its work order, receiver that made it)."""
 
 
+Wants = Callable[[Mapping[str, Any]], bool]
+"""Whether a receiver is told an alarm, or a flood of them."""
+
+
+def _all(_alarm: Mapping[str, Any]) -> bool:
+    return True
+
+
 def _kept_nowhere(_alarm: int, _number: str, _receiver: str) -> None:
     """Of who keeps no numbers."""
 
 
-class Receiver:
+_WORDS = Words("a receiver", "notification", "lost")
+
+
+class Receiver(Delivery):
     """One receiver with its thread.
 
     Parameters
@@ -64,18 +73,17 @@ class Receiver:
     send : callable
     findings : bool
         Whether it is told findings, too.
+    wants : callable
     """
 
-    def __init__(self, name: str, address: str, send: Send, *, findings: bool) -> None:
-        self.name = name
-        self.sent = self.dropped = 0
+    def __init__(
+        self, name: str, address: str, send: Send, *, findings: bool, wants: Wants = _all
+    ) -> None:
+        super().__init__(name, log.bind(receiver=name), _WORDS)
         self._order: str | None = None
-        self.trouble: str | None = None
-        """What the last attempt failed by, None where it did not."""
         self._address, self._send, self._findings = address, send, findings
+        self._wants = wants
         self._news = threading.Event()
-        self._stopped = threading.Event()
-        self._backoff = Backoff(first=0.2, longest=30.0)
         self._thread = threading.Thread(
             target=self._deliver_all, name=f"notify {name}", daemon=True
         )
@@ -92,13 +100,13 @@ class Receiver:
 
     def stop(self) -> None:
         """End; what still waits is told by whoever opens the store next."""
-        self._stopped.set()
+        self.stopped.set()
         self._news.set()
         if self._thread.ident is not None:
             self._thread.join(PATIENCE)
 
     def _deliver_all(self) -> None:
-        while not self._stopped.is_set():
+        while not self.stopped.is_set():
             # before the look: news that come while it lasts are looked for in the next turn
             self._news.clear()
             try:
@@ -106,22 +114,20 @@ class Receiver:
                 told_all = not self._findings or self._tell_of_findings()
             except Exception as error:  # the store may come back
                 log.error("what waits to be told not read", receiver=self.name, reason=str(error))
-                self._stopped.wait(self._backoff.next())
+                self.pause()
                 continue
             if told_all:
                 self._news.wait(_LOOK)
 
     def _tell_of_alarms(self) -> None:
-        while not self._stopped.is_set() and (notice := self._outbox.next(self._id)) is not None:
+        while not self.stopped.is_set() and (notice := self._outbox.next(self._id)) is not None:
             if notice.alarm is None:
                 self.dropped += 1
                 log.error(
                     "a change of an alarm is damaged and told to nobody: see the alarms",
                     receiver=self.name,
                 )
-            elif not self._attempt(
-                _kind_of(notice.alarm), {**notice.alarm, "notice": notice.number}
-            ):
+            elif not self._told(notice.alarm, notice.number):
                 continue
             self._lost("alarm", notice.passed_over)
             # noted after it was delivered: after a crash in between it is told twice, not never
@@ -129,6 +135,13 @@ class Receiver:
             if self._order is not None and notice.alarm is not None:
                 kept = (notice.alarm["id"], self._order, self.name)
                 self._until_kept(partial(self._note_order, *kept))
+
+    def _told(self, alarm: Mapping[str, Any], number: int) -> bool:
+        """Whether the receiver has it, refused it for good, or is not to be told it."""
+        self._order = None
+        if not self._wants(alarm):
+            return True
+        return self._attempt(_kind_of(alarm), {**alarm, "notice": number})
 
     def _until_kept(self, note: Callable[[], None]) -> None:
         """Note what was delivered; the store may be away, and what was delivered is not delivered
@@ -140,7 +153,8 @@ class Receiver:
                 return
             except StorageUnavailable as error:
                 log.error("what was told is not noted", receiver=self.name, reason=str(error))
-                if self._stopped.wait(self._backoff.next()):
+                self.pause()
+                if self.stopped.is_set():
                     return
 
     def _tell_of_findings(self) -> bool:
@@ -151,7 +165,7 @@ class Receiver:
         # in order: behind one that is not delivered, the others wait
         for finding in batch.findings:
             if (
-                self._stopped.is_set()
+                self.stopped.is_set()
                 or time.monotonic() > until
                 or not self._attempt("finding", finding.to_json())
             ):
@@ -173,35 +187,17 @@ class Receiver:
             )
 
     def _attempt(self, kind: str, payload: Mapping[str, Any]) -> bool:
-        """Whether the receiver has it, or refused it for good; a pause after an attempt that
-        failed.
-        """
-        self._order = None
-        try:
+        """Whether the receiver has it, or refused it for good."""
+
+        def deliver() -> None:
             self._order = self._send(kind, payload)
-        except Refused as error:  # it will not like it better the next time
-            self.dropped += 1
-            self.trouble = f"refused a notification at {_now()}, {self.dropped} are lost: {error}"
-            log.warning("a receiver refused a notification", receiver=self.name, reason=str(error))
-            return True
-        except OSError as error:
-            self.trouble = f"takes no notification, tried last at {_now()}: {error}"
-            log.warning("a receiver does not answer", receiver=self.name, reason=str(error))
-            self._stopped.wait(self._backoff.next())
-            return False
-        self.sent += 1
-        self.trouble = None
-        self._backoff.reset()
-        return True
+
+        return self.attempt(deliver)
 
 
 def _kind_of(notice: Mapping[str, Any]) -> str:
     """`flood` of a notice of one, else `alarm`."""
     return FLOOD if notice["kind"] == FLOOD else "alarm"
-
-
-def _now() -> str:
-    return f"{datetime.now(UTC):%Y-%m-%d %H:%M:%S} UTC"
 
 
 def receivers_of(settings: Settings) -> Sequence[ReceiverSettings]:
@@ -240,7 +236,7 @@ class Notifications:
         public_url = None if settings.public_url is None else str(settings.public_url)
         receivers = receivers_of(settings)
         self.receivers = [
-            Receiver(name, of.address(), of.opened(public_url), findings=False)
+            Receiver(name, of.address(), of.opened(public_url), findings=False, wants=of.wants)
             for name, of in zip(
                 _told_apart([of.called for of in receivers]), receivers, strict=True
             )

@@ -13,6 +13,7 @@ import structlog
 from fastapi import FastAPI, Request
 from fastapi.exceptions import RequestValidationError
 from starlette.exceptions import HTTPException
+from starlette.requests import ClientDisconnect
 from starlette.responses import Response
 
 from residuum.identification.errors import BadInput, Forbidden
@@ -100,6 +101,11 @@ def install(app: FastAPI) -> None:
     @app.exception_handler(HTTPException)
     async def _http(_request: Request, error: HTTPException) -> Response:
         return problem(error.status_code, str(error.detail), headers=dict(error.headers or {}))
+
+    @app.exception_handler(ClientDisconnect)
+    async def _left(_request: Request, _error: ClientDisconnect) -> Response:
+        # nobody reads this answer; it is counted among those that a client caused
+        return problem(400, "body: the client left before its end", "bad-body")
 
     @app.exception_handler(StorageUnavailable)
     async def _storage(_request: Request, error: StorageUnavailable) -> Response:

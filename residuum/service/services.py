@@ -27,11 +27,15 @@ if TYPE_CHECKING:
     from residuum.service.settings import Settings
     from residuum.service.storage.disk_store import DiskStore
     from residuum.service.work.jobs import Jobs
+    from residuum.service.work.worker_pool import WorkerPool
 
 P = ParamSpec("P")
 T = TypeVar("T")
 # Long bodies that are read at once. A reader may take `upload_memory` and a processor each.
 _READERS = 2
+# Windows of gateways that are judged and stored at once. Each takes a thread for as long as it waits
+# for a worker; in those of all requests, a hundred machines would leave none for the page.
+_UNATTENDED = 8
 # Bytes that answers may take together while they are made. Without a bound one list took 595 MiB
 # and five of them 2.4 GiB; with it, any hundred questions at once take at most 256 MiB (`python -m
 # benchmarks.memory_by_question`).
@@ -103,8 +107,10 @@ class Services:
     metrics: Metrics
     pipeline: LivePipeline
     keys: ApiKeys
+    workers: WorkerPool
     receiver_troubles: Callable[[], Mapping[str, str]] = dict
     _readers: CapacityLimiter = field(default_factory=lambda: CapacityLimiter(_READERS))
+    _unattended: CapacityLimiter = field(default_factory=lambda: CapacityLimiter(_UNATTENDED))
     _writer: CapacityLimiter = field(default_factory=lambda: CapacityLimiter(1))
     _memory: MemoryBudget = field(default_factory=lambda: MemoryBudget(_MEMORY))
 
@@ -137,6 +143,10 @@ class Services:
         other requests meanwhile.
         """
         return await run_sync(partial(read, *arguments, **more), limiter=self._readers)
+
+    async def judging(self, judge: Callable[P, T], *arguments: P.args, **more: P.kwargs) -> T:
+        """Judge and store a window that nobody waits at, with few others; as `reading`."""
+        return await run_sync(partial(judge, *arguments, **more), limiter=self._unattended)
 
     async def writing(self, write: Callable[P, T], *arguments: P.args, **more: P.kwargs) -> T:
         """Write a long answer in a thread, one at a time: each takes memory and disk, and together

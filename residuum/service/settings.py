@@ -144,6 +144,23 @@ class Settings(BaseSettings):
             + "."
         ),
     )
+    service_url: AnyHttpUrl | None = Field(
+        None,
+        description=(
+            "Address of the service to which `residuum gateway` sends windows,"
+            " https://plant.example:8000/."
+        ),
+    )
+    service_key_file: Path | None = Field(
+        None, description="File whose first line is an engineer's API key for `service_url`."
+    )
+    service_ca: Path | None = Field(
+        None,
+        description=(
+            "PEM file of the authority that signed the certificate of `service_url`; empty: the"
+            " system's."
+        ),
+    )
     mqtt: str = Field(
         "",
         description=(
@@ -249,8 +266,8 @@ class Settings(BaseSettings):
     allow_fmus: bool = Field(
         False,
         description=(
-            "Whether baselines that hold an FMU are stored and judged by: its native code runs in a"
-            " process of its own, as the service's user."
+            "Whether FMUs, and baselines that hold one, are stored, trained with and judged by: the"
+            " native code runs in a process of its own, as the service's user."
         ),
     )
     header_limit: int = Field(16 * 2**10, ge=1024, description="Largest request head [bytes].")
@@ -404,6 +421,18 @@ class Settings(BaseSettings):
         if self.mqtt_password_file and broker_address(self.mqtt or "mqtt://nobody").user is None:
             raise ValueError(
                 "mqtt_password_file: is the password of a user; write mqtt: mqtts://USER@…"
+            )
+        return self
+
+    @model_validator(mode="after")
+    def _service_by_what_it_says(self) -> Settings:
+        url = self.service_url
+        if url is None and (self.service_key_file or self.service_ca):
+            raise ValueError("service_key_file, service_ca: are for service_url; set it, too")
+        if url is not None and (url.username or url.query or url.fragment):
+            raise ValueError(
+                "service_url: must be https://host[:port]/, without a user; a key stands in"
+                " service_key_file"
             )
         return self
 

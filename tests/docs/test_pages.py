@@ -116,6 +116,18 @@ def test_the_written_pages_are_what_the_code_says():
     assert json.loads(module.pages()["model-file.schema.json"]) == model_schema()
 
 
+def test_what_a_command_or_an_effect_does_is_told_to_the_end():
+    for page in ("commands.md", "effects.md"):
+        parts = (DOCS / "reference" / page).read_text(encoding="utf-8").split("\n```yaml\n")
+        prose = [
+            line
+            for part in parts
+            for line in part.splitlines()
+            if line[:1].isupper() and not line.startswith("Acts on")
+        ]
+        assert [line for line in prose if line[-1] not in ".:?"] == []
+
+
 def test_every_effect_has_equation_parameters_and_units():
     text = (DOCS / "reference" / "effects.md").read_text(encoding="utf-8")
     for effect in EFFECTS.values():

@@ -9,7 +9,6 @@ from pathlib import Path
 
 import pytest
 import yaml
-from gotpl import TemplateError
 from gotpl.exts.helm import HelmTemplateEngine
 
 from residuum.service.settings import Settings, load_settings
@@ -39,7 +38,6 @@ FULL = {
         "host": "residuum.plant",
         "tlsSecret": "tls",
     },
-    "scorers": 3,
     "nodeSelector": {"plant": "hall-1"},
     "tolerations": [{"key": "plant", "operator": "Exists"}],
 }
@@ -79,7 +77,7 @@ def pods(made):
 @pytest.mark.parametrize("given", [{}, FULL], ids=["as it stands", "everything"])
 def test_what_a_pod_names_is_there_and_it_has_no_more_rights_than_it_needs(given):
     made = rendered(**given)
-    assert len(pods(made)) == 1 + given.get("scorers", 0)
+    assert len(pods(made)) == 1
     for pod in pods(made):
         (container,) = pod["containers"]
         assert pod["securityContext"]["runAsNonRoot"] and not pod["automountServiceAccountToken"]
@@ -182,20 +180,12 @@ def test_service_probes_ingress_and_labels_meet():
     assert backend == {"name": "plant", "port": {"name": "http"}} and ingress["spec"]["tls"][0][
         "hosts"
     ] == ["residuum.plant"]
-    parts = [
-        made["Deployment", f"plant-scorer-{k}"]["spec"]["template"]["spec"]["containers"][0][
-            "args"
-        ][-1]
-        for k in (1, 2, 3)
-    ]
-    assert parts == ["1/3", "2/3", "3/3"]
     assert "residuum-keys" in made["notes"] and ("Ingress", "plant") not in rendered()
 
 
-@pytest.mark.parametrize("name", ["plant", "plant-scorer-2"])
-def test_settings_that_change_start_the_service_and_its_scorers_anew(name):
+def test_settings_that_change_start_the_service_anew():
     def mark(**given):
-        return rendered(**FULL | given)["Deployment", name]["spec"]["template"]["metadata"][
+        return rendered(**FULL | given)["Deployment", "plant"]["spec"]["template"]["metadata"][
             "annotations"
         ]["checksum/settings"]
 
@@ -212,22 +202,10 @@ def test_all_pods_are_placed_alike():
 
 
 @pytest.mark.parametrize(
-    ("given", "says"),
-    [
-        ({"scorers": 1}, "need a broker"),
-        ({"scorers": 1, "mqtt": {"existingSecret": "b"}}, "ReadWriteMany"),
-    ],
-)
-def test_scorers_without_what_they_need_are_refused(given, says):
-    with pytest.raises(TemplateError, match=says):
-        rendered(**given)
-
-
-@pytest.mark.parametrize(
     "given",
     [
         {"servce": {}},
-        {"scorers": -1},
+        {"scorers": 1},
         {"data": {"accessMode": "All"}},
         {"apiKeys": {"existingSecret": ""}},
     ],

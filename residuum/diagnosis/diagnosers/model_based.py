@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Mapping, Sequence
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any, ClassVar, Self
 
@@ -17,9 +18,10 @@ from residuum.diagnosis.model_based.assessment import CLASSES, assess, missing_p
 from residuum.diagnosis.model_based.baseline import Baseline
 from residuum.diagnosis.model_based.training import following, refuse_recalibration, train
 from residuum.diagnosis.thresholds.false_alarm_rate import SECONDS_A_DAY
-from residuum.identification.errors import BadInput
+from residuum.identification.errors import BadInput, said
 from residuum.identification.physics import BUILT_IN, PhysicalModel, load_model
 from residuum.identification.record import Record
+from residuum.identification.unseen_blocks.structure import HeldValue
 from residuum.nearest_names import known_names
 
 FALSE_ALARMS_PER_DAY = 1.0
@@ -158,6 +160,7 @@ class ModelBased(Diagnoser):
             for n, v in values.items()
             if not n.startswith(b.mended)
         ]
+        says += [self._held_says(value) for value in b.doubted]
         says += [
             f"  healthy windows show {m['effect']}@{m['place']}, which the model lacks: `residuum"
             " explain` tells more"
@@ -176,9 +179,25 @@ class ModelBased(Diagnoser):
             "windows": b.windows,
             "parameters": values,
             "missing_physics": missing,
+            "held_values": [asdict(value) for value in b.doubted],
             "apart": list(b.apart),
         }
         return summary | {"rate_without_extrapolation": alone, "says": says}
+
+    def _held_says(self, held: HeldValue) -> str:
+        """One line for a value that the model holds, and that healthy windows contradict."""
+        followed = [*self.baseline.asked.free, held.name]
+        alike = (
+            f" ({', '.join(held.indistinguishable_from)} would do as well)"
+            if held.indistinguishable_from
+            else ""
+        )
+        return (
+            f"  {held.name} is held at {held.held:.4g} {held.unit}; healthy windows ask for"
+            f" {held.value:.4g} ± {held.std:.2g} {held.unit}, which explains as much as"
+            f" {' and '.join(held.as_much_as)}{alike}: correct it, or follow it with"
+            f" {said('free', followed)}"
+        )
 
     def describe(self) -> Mapping[str, object]:
         """With the channels of the model, once it is known."""

@@ -5,7 +5,7 @@ much.
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -153,6 +153,7 @@ def assess(name: str, baseline: Baseline, record: Record, false_alarms_per_day: 
         "healthy_windows": baseline.windows,
         "rate_without_extrapolation": rate_alone(baseline),
         "missing_physics": missing_physics(baseline),
+        "held_values": [asdict(value) for value in baseline.doubted],
     }
     reason = _reason(baseline, max(deviation, 0.0), limit, cause_rows, false_alarms_per_day)
     if record is not whole:
@@ -444,7 +445,11 @@ def _reason(
         words = f"{first['says']}{alike}{also}; {words}"
     if missing := missing_physics(baseline):
         names = " and ".join(f"{m['effect']}@{m['place']}" for m in missing)
-        words += (
+        words += "".join(
+            f"; {v.name} is held at {v.held:.4g} {v.unit}, and {v.value:.4g} {v.unit} would explain"
+            f" healthy windows as much as {names}: correct it and train again"
+            for v in baseline.doubted[:1]
+        ) or (
             f"; healthy windows show {names} too, which the model lacks: find it with `residuum"
             " explain`, add it with `residuum improve` and train again"
         )

@@ -5,7 +5,7 @@ gain in healthy windows.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from types import MappingProxyType
@@ -38,6 +38,7 @@ from residuum.identification.physics import (
 )
 from residuum.identification.physics.fmu.permission import ARRAY as FMU
 from residuum.identification.physics.fmu.permission import check_allowed
+from residuum.identification.unseen_blocks.structure import HeldValue
 
 if TYPE_CHECKING:
     from residuum.identification.physics.fmu.watched_model import WatchedFmu
@@ -136,6 +137,8 @@ class Baseline:
         Smallest span of each input and output.
     apart : tuple of int
         Healthy windows that stand apart from the others.
+    doubted : tuple of HeldValue
+        Values that the user's model holds, each of which explains as much as the effects `mended`.
     """
 
     asked: PhysicalModel
@@ -158,6 +161,7 @@ class Baseline:
     windows: int
     apart: tuple[int, ...]
     sources: Sequence[str]
+    doubted: tuple[HeldValue, ...] = ()
 
     @property
     def free(self) -> tuple[str, ...]:
@@ -256,6 +260,7 @@ class Baseline:
             "windows": self.windows,
             "apart": list(self.apart),
             "sources": list(self.sources),
+            "doubted": [asdict(value) for value in self.doubted],
             "settings": dict(settings),
         }
         scatters = {"values": self.values, "errors": self.errors, "offsets": self.offsets}
@@ -337,7 +342,15 @@ def _read(meta: Mapping[str, Any], arrays: Mapping[str, FloatArray], source: str
         int(meta["windows"]),
         tuple(int(k) for k in meta["apart"]),
         list(meta["sources"]),
+        # a baseline that was stored before such values were sought has none
+        tuple(_doubted(row) for row in meta.get("doubted", ())),
     )
+
+
+def _doubted(row: Mapping[str, Any]) -> HeldValue:
+    """A held value as it was stored."""
+    groups = {name: tuple(row[name]) for name in ("indistinguishable_from", "as_much_as")}
+    return HeldValue(**{**row, **groups})
 
 
 def _stored_models(

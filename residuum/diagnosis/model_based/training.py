@@ -7,7 +7,7 @@ is inexact.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -60,6 +60,7 @@ from residuum.identification.unseen_blocks.multiple_shooting import (
 )
 from residuum.identification.unseen_blocks.policy import TIE
 from residuum.identification.unseen_blocks.search import search
+from residuum.identification.unseen_blocks.structure import HeldValue, freed
 from residuum.identification.unseen_blocks.tried import Search, Wanted
 from residuum.identification.unseen_blocks.verdict import is_timing
 from residuum.identification.work import at_most
@@ -111,9 +112,10 @@ class _FittedToWindows:
 
 def with_missing_physics(
     model: PhysicalModel, windows: Sequence[Experiment], whitening: Whitening
-) -> tuple[PhysicalModel, list[Experiment]]:
-    """The model with what healthy windows lack beside it, and the windows at the input timing that
-    suits it. Both stay as they are where nothing is lacking in all of them.
+) -> tuple[PhysicalModel, list[Experiment], list[HeldValue]]:
+    """The model with what healthy windows lack beside it, the windows at the input timing that
+    suits it, and the value held that does as much as what is lacking. The first two stay as they are
+    where nothing is lacking in all windows.
 
     Values of new effects that the windows leave open are held.
     """
@@ -124,16 +126,81 @@ def with_missing_physics(
     candidates = _candidates(_with_library_held(model), few, searched.tolist())
     if model.foreign is not None:
         candidates = [(replace(m, parameters=model.parameters), e) for m, e in candidates]
-    fits = [_fitted(*trial, whitening) for trial in candidates]
+    chosen = _simplest_better(base, [_fitted(*trial, whitening) for trial in candidates])
+    if chosen is None:
+        return model, list(windows), []
+    timed = [replace(e, hold=chosen.windows[0].hold) for e in windows]
+    return _settled(chosen, model), timed, _held_that_do_as_much(model, chosen, whitening)
+
+
+def _simplest_better(
+    base: _FittedToWindows, fits: Sequence[_FittedToWindows]
+) -> _FittedToWindows | None:
+    """Of the fits that take error away in all windows, and of those that take away as much as the
+    best, the one with the fewest values; None where none does.
+    """
     errors = [trial.log_errors for trial in fits]
     better = [k for k, error in enumerate(errors) if _is_reduced(base.log_errors - error)]
     if not better:
-        return model, list(windows)
+        return None
     best = min(better, key=lambda k: float(errors[k].mean()))
-    # of what takes away as much, to one standard error, the model with the fewest values
+    # as much: to one standard error
     alike = [k for k in better if k == best or not _is_reduced(errors[k] - errors[best], 1.0)]
-    chosen = fits[min(alike, key=lambda k: (len(fits[k].model.free), float(errors[k].mean())))]
-    return _settled(chosen, model), [replace(e, hold=chosen.windows[0].hold) for e in windows]
+    return fits[min(alike, key=lambda k: (len(fits[k].model.free), float(errors[k].mean())))]
+
+
+def _held_that_do_as_much(
+    model: PhysicalModel, found: _FittedToWindows, whitening: Whitening
+) -> list[HeldValue]:
+    """The value that the model holds which, free in the windows, takes away as much of their error
+    as the effects that were found, to one standard error; none where none does.
+    """
+    effects = _labels_beyond(model, found.model)
+    trials = [
+        (name, _fitted(freeing, found.windows, whitening))
+        for name, freeing in _with_one_free(model, found.windows)
+    ]
+    errors = {name: trial.log_errors for name, trial in trials}
+    finite = [name for name in errors if np.isfinite(errors[name]).all()]
+    if not finite:
+        return []
+    least = errors[min(finite, key=lambda name: float(errors[name].mean()))]
+    if _is_reduced(least - found.log_errors - NO_ERROR, 1.0):
+        return []
+    # of what does the same the first of the model, as `explain` tells it
+    (name, trial), *more = [
+        (name, trial)
+        for name, trial in trials
+        if not _is_reduced(errors[name] - least - NO_ERROR, 1.0)
+    ]
+    values, std = _over_windows(trial)
+    k, known = trial.model.free.index(name), trial.model.parameters[name]
+    alike = tuple(other for other, _ in more)
+    return [
+        HeldValue(name, known.value, float(values[k]), float(std[k]), known.unit, alike, effects)
+    ]
+
+
+def _with_one_free(
+    model: PhysicalModel, windows: Sequence[Experiment]
+) -> Iterator[tuple[str, PhysicalModel]]:
+    """The model with each of the values that it holds free in turn; those of an FMU that nobody
+    named are held, too.
+    """
+    if model.foreign is None:
+        for name, known in model.parameters.items():
+            if known.fixed and known.value != 0.0:
+                yield name, freed(model, [name])
+        return
+    # loads what compiles, for FMUs alone
+    from residuum.identification.physics.fmu.watched_model import declaring  # noqa: PLC0415
+
+    for name, offered in model.foreign.description.parameters.items():
+        if offered.start != 0.0 and name not in model.free:
+            freeing = freed(declaring(model, [name]), [name])
+            assert freeing.foreign is not None
+            freeing.foreign.choose_steps(freeing, windows[:1])
+            yield name, freeing
 
 
 def _with_library_held(model: PhysicalModel) -> PhysicalModel:
@@ -237,19 +304,13 @@ def _fitted(
 
 
 def _settled(best: _FittedToWindows, before: PhysicalModel) -> PhysicalModel:
-    """The model at the median of the windows' values, weighed by each window's information. Of new
-    effects those values are held that are shapes, or that all windows together leave open.
+    """The model at the middle of the windows' values. Of new effects those values are held that are
+    shapes, or that all windows together leave open.
     """
-    names, known = list(best.model.free), [fit is not None for fit in best.fits]
-    window_info = best.information[known]
-    values = _middle(
-        np.array([fit.values for fit in best.fits if fit is not None]),
-        np.diagonal(window_info, axis1=1, axis2=2),
-    )
-    # what all windows together leave open of a value: its standard deviation, relative to it
-    total = window_info.sum(axis=0)
-    std = np.sqrt(np.diag(np.linalg.pinv(total, hermitian=True)))
-    fixed = (np.diag(total) > 0.0) & (std < OPEN * np.abs(values))
+    names = list(best.model.free)
+    values, std = _over_windows(best)
+    # infinite where no window tells a value at all
+    fixed = std < OPEN * np.abs(values)
     shapes = {
         f"{use.label}.{p}"
         for use in best.model.effects
@@ -263,6 +324,21 @@ def _settled(best: _FittedToWindows, before: PhysicalModel) -> PhysicalModel:
         if name not in before.free and (name in shapes or not known)
     ]
     return held(best.model.with_values(dict(zip(names, values.tolist(), strict=True))), new)
+
+
+def _over_windows(best: _FittedToWindows) -> tuple[FloatArray, FloatArray]:
+    """The median of the windows' values, weighed by each window's information, and the standard
+    deviation of what all windows together leave open of each.
+    """
+    known = [fit is not None for fit in best.fits]
+    window_info = best.information[known]
+    values = _middle(
+        np.array([fit.values for fit in best.fits if fit is not None]),
+        np.diagonal(window_info, axis1=1, axis2=2),
+    )
+    total = window_info.sum(axis=0)
+    std = np.sqrt(np.diag(np.linalg.pinv(total, hermitian=True)))
+    return values, np.where(np.diag(total) > 0.0, std, np.inf)
 
 
 def _middle(values: FloatArray, weights: FloatArray) -> FloatArray:
@@ -418,13 +494,35 @@ def train(
     """
     asked, experiments = match(model, windows_of(records))
     experiments = _alike(experiments)
+    base = _beside_known(asked, known)
+    if base.foreign is not None:
+        base.foreign.choose_steps(base, [experiments[k] for k in evenly(len(experiments), 1)])
+    fit = _determined(asked, base, experiments, fix_undetermined)
+    better, experiments, doubted = with_missing_physics(
+        fit.model, fit.experiments, _sized(fit.model, fit.experiments)
+    )
+    learned = _learned(asked, better, experiments, [record.source for record in records])
+    return _calibrated(replace(learned, doubted=tuple(doubted)), experiments)
+
+
+def _beside_known(asked: PhysicalModel, known: Sequence[EffectUse]) -> PhysicalModel:
+    """The user's model with effects that it was found to lack before."""
     base = asked
     for use in known:
         if use.key not in [own.key for own in asked.effects]:
             base = base.with_effect(*use.key, {name: p.value for name, p in use.parameters.items()})
-    if base.foreign is not None:
-        base.foreign.choose_steps(base, [experiments[k] for k in evenly(len(experiments), 1)])
-    # All windows at once first: they determine what no window determines by itself.
+    return base
+
+
+def _determined(
+    asked: PhysicalModel,
+    base: PhysicalModel,
+    experiments: list[Experiment],
+    fix_undetermined: bool,
+) -> _FittedToAll:
+    """The fit to all windows at once, which determine what no window determines by itself; Undetermined
+    where values of the user's model stay open, unless those are to be held.
+    """
     fit = _over_all(base, experiments)
     while wide := [name for name in _open(fit) if name in asked.parameters]:
         if not fix_undetermined:
@@ -432,12 +530,7 @@ def train(
         # with the widest one held, others may be determined
         base = held(base, wide[:1])
         fit = _over_all(base, fit.experiments, timing_known=True)
-    better, experiments = with_missing_physics(
-        fit.model, fit.experiments, _sized(fit.model, fit.experiments)
-    )
-    return _calibrated(
-        _learned(asked, better, experiments, [record.source for record in records]), experiments
-    )
+    return fit
 
 
 def windows_of(records: Sequence[Record]) -> list[Record]:

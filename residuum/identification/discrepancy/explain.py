@@ -28,7 +28,7 @@ from residuum.identification.unseen_blocks.advice import (
 from residuum.identification.unseen_blocks.free_term import BlockTerm, free_terms
 from residuum.identification.unseen_blocks.policy import FEWEST_TO_JUDGE, UNKNOWN_LEADS
 from residuum.identification.unseen_blocks.record_search import searched, with_forgotten_inputs
-from residuum.identification.unseen_blocks.structure import HELD
+from residuum.identification.unseen_blocks.structure import HELD, HeldValue
 from residuum.identification.unseen_blocks.tried import Search, Wanted
 from residuum.identification.unseen_blocks.verdict import (
     BlockErrors,
@@ -44,23 +44,6 @@ from residuum.identification.unseen_blocks.verdict import (
 from residuum.identification.work import Tell, Work, at_most, begun, part_of, untold
 
 # What is answered.
-
-
-@dataclass(frozen=True)
-class HeldValue:
-    """A parameter's value in the model, where it is fixed, and the one that the records ask for,
-    with its standard deviation.
-
-    Of the parameters in `indistinguishable_from` another value would do as much (a mass, or the
-    area that drives it).
-    """
-
-    name: str
-    held: float
-    value: float
-    std: float
-    unit: str
-    indistinguishable_from: tuple[str, ...]
 
 
 @dataclass(frozen=True)
@@ -110,8 +93,8 @@ class Explanation:
     values : tuple of EstimatedValue
         The model's own free parameters, estimated with the accepted effects, beside the file's.
     held : tuple of HeldValue
-        Parameters that the model holds fixed and that were freed, for another value does more than
-        any effect.
+        Parameters that the model holds fixed, where another value does more than any effect, or as
+        much as one that was found.
     remaining : Remaining
         What that model leaves on unseen blocks.
     blocks : BlockErrors
@@ -270,7 +253,7 @@ def answer_on_blocks(
     verdict = verdict_on(search, steps, free, stds, adequate=adequate)
     free_beside = free_terms(best, search.validation) if best.keys else free
     timing = [step.key for step in steps if is_timing(step.key, search)]
-    held = [step for step in steps if step.key.effect == HELD]
+    held = [_held(step, search, stds) for step in steps]
     accepted = [step.key for step in steps if step.key.effect != HELD and step.key not in timing]
     return Explanation(
         verdict=verdict.verdict,
@@ -286,7 +269,7 @@ def answer_on_blocks(
         drifting=verdict.unknown > UNKNOWN_LEADS and _drifts(free),
         left=left,
         values=estimated_values(search.validation.data.model, best.model, stds),
-        held=tuple(_held(step, search, stds) for step in held),
+        held=tuple(value for value in held if value is not None),
         remaining=remaining(search.base, best, search.validation),
         blocks=block_errors(search, verdict.candidates),
         work=begun(),
@@ -340,19 +323,30 @@ def _left(search: Search) -> dict[str, tuple[float, str, float]]:
     return left
 
 
-def _held(step: Step, search: Search, stds: Mapping[str, float]) -> HeldValue:
-    """The fixed value that is doubted; of several that do as much the first of the model."""
-    model, tied = search.validation.data.model, {step.key.target: search}
+def _held(step: Step, search: Search, stds: Mapping[str, float]) -> HeldValue | None:
+    """The fixed value that is doubted at a step, of several that do as much the first of the
+    model; None where nothing but effects explains what the step does.
+    """
+    model, is_value = search.validation.data.model, step.key.effect == HELD
+    tied = {step.key.target: search} if is_value else {}
     for rival in step.group:
         for key in rival.keys:
             if key.effect == HELD and key not in search.best.keys:
                 tied[key.target] = replace(search, best=rival)
+    if not tied:
+        return None
     # which of them led is chance: the first of the model is the same for every record
     first, *alike = sorted(tied, key=list(model.parameters).index)
     doubt = stds if tied[first] is search else doubts_of(tied[first])
     before, now = model.parameters[first], tied[first].best.model.parameters[first]
     return HeldValue(
-        first, before.value, now.value, float(doubt.get(first, 0.0)), now.unit, tuple(alike)
+        first,
+        before.value,
+        now.value,
+        float(doubt.get(first, 0.0)),
+        now.unit,
+        tuple(alike),
+        () if is_value else (str(step.key),),
     )
 
 

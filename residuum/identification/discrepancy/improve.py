@@ -7,6 +7,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from typing import NamedTuple
 
 import numpy as np
 
@@ -98,11 +99,12 @@ def joined_of(
         steps = _that_hold(every, search, records, mapping)
     else:
         every = steps = _in_order(search, asked)
-    rows = [(None, search.base), *((key.effect, after) for key, _, after in steps)]
-    final = rows[-1][1]
+    rows = [_Row(None, None, search.base)]
     if was is not None:
-        rows = [*_before(search, was), *rows[1:]]
-    fits, o = [fit for _, fit in rows], _most_mended(search)
+        rows = _before(search, was)
+    rows += [_Row(key.effect, key.target, after) for key, _, after in steps]
+    final = steps[-1][2] if steps else search.base
+    fits, o = [row.fit for row in rows], _most_mended(search)
     # where a user keeps a part aside it judges; else every block has been left out in turn
     if is_noted(records):
         errors = _on_the_rest(fits, o, search, records, mapping)
@@ -113,8 +115,8 @@ def joined_of(
         model, std = _final(search, final, data.finer or data, noted=False)
         aside = ASIDE
     history = [
-        Step(name, error, remaining(fits[0], fit, search.validation))
-        for (name, fit), error in zip(rows, errors, strict=True)
+        Step(row.added, error, remaining(fits[0], row.fit, search.validation), row.at)
+        for row, error in zip(rows, errors, strict=True)
     ]
     output = list(search.best.model.outputs)[o]
     return Joined(model, history, _refused(every, steps), std, output, aside)
@@ -170,7 +172,15 @@ def _in_order(search: Search, keys: Sequence[Key]) -> list[_Step]:
     return steps
 
 
-def _before(search: Search, was: PhysicalModel) -> list[tuple[str | None, ValidatedFit]]:
+class _Row(NamedTuple):
+    """What was added at which place, and the structure with it."""
+
+    added: str | None
+    at: str | None
+    fit: ValidatedFit
+
+
+def _before(search: Search, was: PhysicalModel) -> list[_Row]:
     """The model with values held that the base has free, judged like that, and the base once a
     value.
     """
@@ -184,7 +194,8 @@ def _before(search: Search, was: PhysicalModel) -> list[tuple[str | None, Valida
     structure = Structure((), replace(base.model, parameters=held), base.states, base.steps)
     before = search.validation.validate(structure, steps=15, tolerance=1e-5)
     # what freeing takes away is no effect's: it has a line of its own in the history
-    return [(None, before or search.base), *((f"{name} freed", search.base) for name in names)]
+    as_it_was = _Row(None, None, before or search.base)
+    return [as_it_was, *(_Row(f"{name} freed", None, search.base) for name in names)]
 
 
 def _on_the_rest(

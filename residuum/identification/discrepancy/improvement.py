@@ -22,13 +22,22 @@ _ERROR_AFTER, _STD = "error_after", "std_"
 
 @dataclass(frozen=True)
 class Step:
-    """One line of the history. It says what was added (None: the model as it was, `-id`: dropped),
-    the held-out error after it, and what remains on unseen blocks then, where it was asked.
+    """One line of the history. It says what was added (None: the model as it was; a parameter that
+    was freed), the held-out error after it, what remains on unseen blocks then, and `at` which
+    place an effect joined.
     """
 
     added: str | None
     error: float
     remaining: Remaining | None = None
+    at: str | None = None
+
+    def joined(self, model: PhysicalModel) -> EffectUse | None:
+        """The effect of this line in a model, the last of its kind at its place; None where it is
+        none, or was dropped again beside what joined later.
+        """
+        uses = [use for use in model.effects if (use.id, use.target) == (self.added, self.at)]
+        return uses[-1] if uses else None
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,17 +70,18 @@ class Improvement:
         """The effects that joined and stayed, estimated on everything; `quantities_of` tells their
         sizes.
         """
-        ids = [step.added for step in self.history]
-        return [
-            use for use in self.model.effects if use.id in ids and _ERROR_AFTER in use.provenance
-        ]
+        joined = [step.joined(self.model) for step in self.history]
+        return [use for use in joined if use is not None]
 
     def candidate(self, use: EffectUse) -> Candidate | None:
         """An effect that was added, as `explain` judged it on the rest; None where it was asked
-        for.
+        for, or joined beside values that `explain` would free.
         """
-        candidates = () if self.explanation is None else self.explanation.candidates
-        return next((c for c in candidates if c.key == use.key), None)
+        if self.explanation is None or use.key not in self.explanation.found.best.keys:
+            return None
+        # what joined later is a rival of the first step, too
+        judged = [c for c in self.explanation.candidates if c.key == use.key]
+        return max(judged, key=lambda candidate: candidate.step, default=None)
 
 
 def with_provenance(
@@ -86,8 +96,7 @@ def with_provenance(
     deviation of its parameters.
     """
     for before, after in pairwise(history):
-        use = next((u for u in model.effects if u.id == after.added), None)
-        # Dropped again beside what joined later.
+        use = after.joined(model)
         if use is None:
             continue
         note = {

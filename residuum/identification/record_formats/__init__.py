@@ -67,7 +67,7 @@ def read_record(path: str | Path, options: ReadOptions = ReadOptions()) -> Recor
     """
     # Before a `Path` is made of it, which keeps one of an address's two slashes.
     if is_history(path):
-        return without_overloads(without_marks(read_history(str(path), options), options.missing))
+        return read_history(str(path), options)
     path = Path(path)
     ending = path.suffix.lower()
     reader = (READERS | LOGGERS | OLDER).get(ending)

@@ -18,11 +18,15 @@ from urllib.parse import SplitResult, parse_qsl, unquote, urlencode, urlsplit
 from residuum.identification.errors import BadRecord
 from residuum.identification.record import Record
 from residuum.identification.record_formats.options import ReadOptions
+from residuum.nearest_names import known_names
 
 # one slash is enough: a `Path` made of an address keeps one of its two
 _ADDRESS = re.compile(r"([\w.]+):/+(.+)", re.DOTALL)
 ROLES = ("time", "tag", "value")
 """Columns that an address may name where they are not clear."""
+OPCUA = "opc.tcp"
+"""The scheme of servers that keep the history of nodes; those of others are of tables."""
+_KEYS_OF_NODES = ("nodes", "start", "end", "window")
 
 
 class HistoryAway(BadRecord):
@@ -31,7 +35,8 @@ class HistoryAway(BadRecord):
 
 @dataclass(frozen=True)
 class Address:
-    """A table, what of it is asked for, and where columns have no usual names, these.
+    """A table, what of it is asked for, and where columns have no usual names, these; of an OPC UA
+    server its nodes as tags.
 
     `shown` is the table's address as messages repeat it. `where` holds other columns with the value
     that rows must have there; `window` and `each` ask for several records in place of one.
@@ -52,7 +57,8 @@ class Address:
     @property
     def without_secret(self) -> str:
         """The whole address, but for the password."""
-        asked = {"tags": ",".join(self.tags)} if self.tags else {}
+        tags = "nodes" if self.scheme == OPCUA else "tags"
+        asked = {tags: ",".join(self.tags)} if self.tags else {}
         asked |= {**self.columns, **self.where}
         ends = {"start": self.start, "end": self.end}
         asked |= {key: _written(instant) for key, instant in ends.items() if instant is not None}
@@ -79,15 +85,22 @@ def parse_address(text: str, schemes: Sequence[str]) -> Address:
     >>> at = parse_address(text, ["timescale"])
     >>> at.shown, at.table, at.tags, at.where
     ('timescale://me@plant/pumps/public.readings', ('public', 'readings'), ('q', 'p'), {'site': 'north'})
+    >>> text = "opc.tcp://me:secret@plant:4840/x?nodes=ns=2;s=Speed,i=85&start=2026-03-01&end=2026-03-02"
+    >>> at = parse_address(text, ["opc.tcp"])
+    >>> at.shown, at.tags
+    ('opc.tcp://plant:4840/x', ('ns=2;s=Speed', 'i=85'))
 
     Raises
     ------
     BadRecord
-        No database and table in it; a start or end that is no date.
+        No database and table in it, or no nodes of a server, or a key that these have not; a start
+        or end that is no date.
     """
     parts = split_address(text, schemes)
     if parts is None:
         raise BadRecord(f"{text}: is no address of a history")
+    if parts.scheme == OPCUA:
+        return _nodes_of(parts)
     shown, server, table = _table_of(parts)
     asked = dict(parse_qsl(parts.query, keep_blank_values=True))
     return Address(
@@ -131,6 +144,26 @@ def _table_of(parts: SplitResult) -> tuple[str, dict[str, Any], tuple[str, ...]]
         "dbname": database,
     }
     return shown, server, tuple(table.split("."))
+
+
+def _nodes_of(parts: SplitResult) -> Address:
+    shown = f"{parts.scheme}://{parts.netloc.rpartition('@')[2]}{parts.path}"
+    asked = dict(parse_qsl(parts.query, keep_blank_values=True))
+    for key in asked:
+        if key not in _KEYS_OF_NODES:
+            raise BadRecord(f"{shown}: no key {key!r}; {known_names(key, _KEYS_OF_NODES)}")
+    nodes = listed(asked.get("nodes", ""))
+    if not nodes:
+        raise BadRecord(f"{shown}: name the nodes to read, ?nodes=ns=2;s=Speed,ns=2;s=Torque")
+    start, end = (instant_of(asked.get(key, ""), key, shown) for key in ("start", "end"))
+    if start is None or end is None:
+        raise BadRecord(f"{shown}: say from when to when, &start=2026-03-01&end=2026-03-08")
+    server = {
+        "user": parts.username and unquote(parts.username),
+        "password": parts.password and unquote(parts.password),
+    }
+    window = _window_length(asked.get("window", ""), shown)
+    return Address(parts.scheme, shown, server, (), nodes, start, end, window=window)
 
 
 def listed(text: str) -> tuple[str, ...]:

@@ -6,7 +6,7 @@ import json
 import zipfile
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Any, Protocol
+from typing import IO, Any, Protocol
 
 import numpy as np
 import numpy.typing as npt
@@ -111,17 +111,20 @@ def read_npz(path: str | Path, options: ReadOptions = ReadOptions()) -> Record:
     )
 
 
-def write_npz(record: Record, path: str | Path) -> None:
-    """Write a record so that `read_npz` gives it back exactly."""
+def write_npz(
+    record: Record, path: str | Path | IO[bytes], compression: int = zipfile.ZIP_DEFLATED
+) -> None:
+    """Write a record so that `read_npz` gives it back exactly; `compression` is one of `zipfile`."""
     dtypes = {name: signal.dtype.str for name, signal in record.channels.items()}
-    write_npz_in_pieces(path, record, dtypes, lambda name: (record[name],))
+    write_npz_in_pieces(path, record, dtypes, lambda name: (record[name],), compression)
 
 
 def write_npz_in_pieces(
-    path: str | Path,
+    path: str | Path | IO[bytes],
     described: Described,
     dtypes: Mapping[str, str],
     pieces: Callable[[str], Iterable[npt.NDArray[Any]]],
+    compression: int = zipfile.ZIP_DEFLATED,
 ) -> None:
     """Write a record whose samples come piece by piece, for each channel of `dtypes`, so that they
     are never held as a whole.
@@ -134,7 +137,7 @@ def write_npz_in_pieces(
     }
     if clash := set(extra) & set(dtypes):
         raise BadRecord(f"{path}: a channel cannot be called {sorted(clash)[0]!r} in an NPZ record")
-    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
+    with zipfile.ZipFile(path, "w", compression) as archive:
         for name, dtype in dtypes.items():
             # The length of an entry stands before it: one that may outgrow 2 GiB has to be
             # announced.

@@ -8,120 +8,187 @@ stamp of its source and its status; one that is not good is missing.
 from __future__ import annotations
 
 import logging
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from datetime import UTC, datetime
+from importlib import import_module
 from typing import Any
-from urllib.parse import parse_qsl, unquote
 
 import numpy as np
 
 from residuum.array_types import FloatArray
 from residuum.identification.errors import BadRecord, in_one_line
 from residuum.identification.record import Record
-from residuum.identification.record_formats.history import instant_of, listed, split_address
+from residuum.identification.record_formats.history import Address, HistoryAway
 from residuum.identification.record_formats.loggers.logger_head import is_unit
 from residuum.identification.record_formats.optional_package import need
 from residuum.identification.record_formats.options import ReadOptions
 from residuum.identification.record_formats.time_bases import TimedChannel, on_one_base
-from residuum.nearest_names import known_names
 
-_SCHEMES = ("opc.tcp",)
-_KEYS = ("nodes", "start", "end")
 _EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 _EPOCH_WITHOUT_ZONE = datetime(1970, 1, 1)  # a stamp without zone cannot be taken from one with
 _PATIENCE = 10  # [s] until a server that does not answer is given up
+_PAGE = 10_000  # values that are asked for at a time: an answer of more is refused by many servers
 
 
-@dataclass(frozen=True)
-class Address:
-    """Nodes of a server, and from when to when; `shown` is the server as messages repeat it."""
+class OpcUaHistory:
+    """A server of OPC UA, asked in a session that stays open.
 
-    shown: str
-    user: str | None
-    password: str | None
-    nodes: tuple[str, ...]
-    start: datetime
-    end: datetime
-
-
-def parse_address(text: str) -> Address:
-    """The nodes that an address names.
-
-    >>> at = parse_address("opc.tcp://me:secret@plant:4840/x?nodes=ns=2;s=Speed,i=85&start=2026-03-01&end=2026-03-02")
-    >>> at.shown, at.nodes, at.start.isoformat()
-    ('opc.tcp://plant:4840/x', ('ns=2;s=Speed', 'i=85'), '2026-03-01T00:00:00+00:00')
-
-    Raises
-    ------
-    BadRecord
-        No nodes, no start or no end in it; a start or end that is no date; a key that there is not.
+    Names and units of nodes are asked for once a session, not with each window.
     """
-    parts = split_address(text, _SCHEMES)
-    if parts is None:
-        raise BadRecord(f"{text}: is no address of an OPC UA server")
-    host = parts.netloc.rpartition("@")[2]
-    shown = f"opc.tcp://{host}{parts.path}"
-    asked = dict(parse_qsl(parts.query, keep_blank_values=True))
-    for key in asked:
-        if key not in _KEYS:
-            raise BadRecord(f"{shown}: no key {key!r}; {known_names(key, _KEYS)}")
-    nodes = listed(asked.get("nodes", ""))
-    if not nodes:
-        raise BadRecord(f"{shown}: name the nodes to read, ?nodes=ns=2;s=Speed,ns=2;s=Torque")
-    start, end = (instant_of(asked.get(key, ""), key, shown) for key in ("start", "end"))
-    if start is None or end is None:
-        raise BadRecord(f"{shown}: say from when to when, &start=2026-03-01&end=2026-03-08")
-    user, password = (part and unquote(part) for part in (parts.username, parts.password))
-    return Address(shown, user, password, nodes, start, end)
+
+    def __init__(self) -> None:
+        self._client: Any = None
+        self._loop: Any = None
+        self._nodes: dict[str, tuple[str, str]] = {}
+
+    def close(self) -> None:
+        """End the session; what is asked next opens another."""
+        client, loop, self._client, self._loop = self._client, self._loop, None, None
+        self._nodes = {}
+        if client is not None:
+            # of a session that the server has ended
+            with suppress(Exception):
+                client.disconnect()
+        if loop is not None:
+            loop.stop()
+
+    def span(self, at: Address) -> tuple[datetime, datetime] | None:
+        """From when to when, as the address says."""
+        return None if at.start is None or at.end is None else (at.start, at.end)
+
+    def values_of(self, at: Address, column: str) -> list[str]:
+        """BadRecord: nodes have no column that tells their values apart."""
+        raise BadRecord(f"{at.shown}: nodes have no column {column!r} to part values by")
+
+    def record(self, at: Address, options: ReadOptions) -> Record:
+        """The record of an address: its nodes on one even time base.
+
+        A channel is called by its node's browse name, or by the node's id where two have the same;
+        its unit is that of the node's engineering units. Times without a zone are taken as UTC.
+
+        Raises
+        ------
+        BadRecord
+            A server that refuses, a node that it has not, that has no history or holds no numbers,
+            no values; as `on_one_base` for times that do not lie on one base.
+        HistoryAway
+            A server that does not answer.
+        """
+        return on_one_base(self._asked(at), at.shown, options)
+
+    def _asked(self, at: Address) -> list[TimedChannel]:
+        """The nodes' values; a session that has ended is opened anew."""
+        ua = need("asyncua.ua", at.shown, "opcua")
+        away = _away(ua)
+        try:
+            if self._client is not None:
+                try:
+                    return self._channels(at)
+                except away:
+                    self.close()
+            self._connect(at)
+            return self._channels(at)
+        except BadRecord:  # a ValueError itself, which says already what is wrong
+            raise
+        except away as error:
+            self.close()
+            raise HistoryAway(f"{at.shown}: {in_one_line(error)}") from None
+        except (ua.UaError, ValueError) as error:
+            self.close()
+            raise BadRecord(f"{at.shown}: {in_one_line(error)}") from None
+
+    def _connect(self, at: Address) -> None:
+        logging.getLogger("asyncua").setLevel(logging.CRITICAL)  # what is wrong is raised, too
+        sync = import_module("asyncua.sync")
+        self._loop = sync.ThreadLoop()
+        self._loop.daemon = True  # a process that ends does not wait for it
+        self._loop.start()
+        self._client = sync.Client(at.shown, timeout=_PATIENCE, tloop=self._loop)
+        if at.server["user"]:
+            self._client.set_user(at.server["user"])
+            self._client.set_password(at.server["password"] or "")
+        self._client.connect()
+
+    def _channels(self, at: Address) -> list[TimedChannel]:
+        for node in at.tags:
+            if node not in self._nodes:
+                known = self._client.get_node(node)
+                self._nodes[node] = str(known.read_browse_name().Name), _unit(known)
+        names = [self._nodes[node][0] for node in at.tags]
+        return [
+            self._channel(at, node, name if names.count(name) == 1 else node)
+            for node, name in zip(at.tags, names, strict=True)
+        ]
+
+    def _channel(self, at: Address, node: str, name: str) -> TimedChannel:
+        """The values of a node, in order of their sources' time stamps."""
+        pages = [
+            (
+                np.array([_seconds(value.SourceTimestamp) for value in page]),
+                _numbers(page, name, at),
+            )
+            for page in _pages(self._client.get_node(node), name, at)
+        ]
+        instants, values = (
+            np.concatenate([np.empty(0), *part]) for part in zip(*pages, strict=True)
+        )
+        # half open, so that a value at `end` is in the next span alone
+        start, end = (instant.timestamp() for instant in (at.start, at.end) if instant)
+        within = (instants >= start) & (instants < end)
+        if not within.any():
+            raise BadRecord(f"{at.shown}: no values of {name!r} in that time")
+        order = np.argsort(instants[within], kind="stable")
+        return TimedChannel(
+            name, self._nodes[node][1], instants[within][order], values[within][order]
+        )
 
 
-def read_opcua_history(address: str, options: ReadOptions = ReadOptions()) -> Record:
-    """The record of an address: its nodes on one even time base, from `start` to before `end`.
+def _away(ua: Any) -> tuple[type[Exception], ...]:
+    """What says that nobody answers, or that a session has ended."""
+    names = (
+        "BadConnectionClosed",
+        "BadSessionIdInvalid",
+        "BadSessionClosed",
+        "BadSecureChannelIdInvalid",
+        "BadSecureChannelClosed",
+        "BadServerNotConnected",
+        "BadTimeout",
+        "BadCommunicationError",
+    )
+    return (OSError, *(getattr(ua.uaerrors, name) for name in names))
 
-    A channel is called by its node's browse name, or by the node's id where two have the same; its
-    unit is that of the node's engineering units. Times without a zone are taken as UTC.
 
-    Raises
-    ------
-    BadRecord
-        A server that does not answer or refuses, a node that it has not, that has no history or
-        holds no numbers, no values; as `on_one_base` for times that do not lie on one base.
+def _pages(node: Any, name: str, at: Address) -> Iterator[list[Any]]:
+    """The values of a node with a time stamp of their source, so many at a time (OPC 10000-11,
+    6.4.3: a server goes on from its continuation point).
     """
-    at = parse_address(address)
-    sync = need("asyncua.sync", at.shown, "opcua")
-    ua = need("asyncua.ua", at.shown, "opcua")
-    logging.getLogger("asyncua").setLevel(logging.CRITICAL)  # what is wrong is raised, too
-    client = sync.Client(at.shown, timeout=_PATIENCE)
-    try:
-        if at.user:
-            client.set_user(at.user)
-            client.set_password(at.password or "")
-        with client:
-            names = [str(client.get_node(node).read_browse_name().Name) for node in at.nodes]
-            channels = [
-                _channel(client.get_node(node), name if names.count(name) == 1 else node, at, ua)
-                for node, name in zip(at.nodes, names, strict=True)
-            ]
-    except BadRecord:  # a ValueError itself, which says already what is wrong
-        raise
-    except (ua.UaError, OSError, TimeoutError, ValueError) as error:
-        raise BadRecord(f"{at.shown}: {in_one_line(error)}") from None
-    return on_one_base(channels, at.shown, options)
-
-
-def _channel(node: Any, name: str, at: Address, ua: Any) -> TimedChannel:
-    """The values of a node, in order of their sources' time stamps."""
-    history = node.read_raw_history(at.start, at.end, 0, False)
-    stamped = [value for value in history if value.SourceTimestamp is not None]
-    instants = np.array([_seconds(value.SourceTimestamp) for value in stamped])
-    # half open, so that a value at `end` is in the next span alone
-    within = (instants >= at.start.timestamp()) & (instants < at.end.timestamp())
-    if not within.any():
-        raise BadRecord(f"{at.shown}: no values of {name!r} in that time")
-    values = _numbers(stamped, name, at)
-    order = np.argsort(instants[within], kind="stable")
-    return TimedChannel(name, _unit(node, ua), instants[within][order], values[within][order])
+    ua = import_module("asyncua.ua")
+    details = ua.ReadRawModifiedDetails(
+        IsReadModified=False,
+        StartTime=at.start,
+        EndTime=at.end,
+        NumValuesPerNode=_PAGE,
+        ReturnBounds=False,
+    )
+    point = after = None
+    while True:
+        answer = node.history_read(details, point)
+        answer.StatusCode.check()
+        read = [
+            value
+            for value in answer.HistoryData.DataValues or ()
+            if value.SourceTimestamp is not None
+        ]
+        yield [value for value in read if after is None or value.SourceTimestamp > after]
+        before, point = (point, after), answer.ContinuationPoint
+        if not point:
+            # some servers cut an answer without saying that there is more
+            if len(read) < _PAGE:
+                return
+            details.StartTime = after = read[-1].SourceTimestamp
+        if (point, after) == before:
+            raise BadRecord(f"{at.shown}: gives the same values of {name!r} again and again")
 
 
 def _seconds(stamp: datetime) -> float:
@@ -145,8 +212,9 @@ def _is_good(value: Any) -> bool:
     return value.Value is not None and (value.StatusCode is None or value.StatusCode.is_good())
 
 
-def _unit(node: Any, ua: Any) -> str:
+def _unit(node: Any) -> str:
     """The display name of the node's engineering units, where it has them."""
+    ua = import_module("asyncua.ua")
     try:
         units = node.get_child("0:EngineeringUnits").read_value()
     except ua.UaError:

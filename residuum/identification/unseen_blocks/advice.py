@@ -177,7 +177,7 @@ def _rivals(
 
 def _is_worth_separating(candidate: Candidate, first: Candidate) -> bool:
     """Whether a candidate of the first step may be what the leading one is taken for."""
-    alike = candidate.effect in first.indistinguishable_from
+    alike = candidate.key in first.alike
     return candidate.step == 0 and (alike or candidate.probability > WORTH_SEPARATING)
 
 

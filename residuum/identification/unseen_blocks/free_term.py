@@ -76,7 +76,8 @@ def linear_response(
     columns, p = simulator.columns(names), simulator.p()
     X = simulator.run_vectors(experiment, x0, p, substeps=substeps).X
     arguments = (experiment.U, X, p, columns, experiment.sample_time, substeps, experiment.hold)
-    F, C = _transitions(simulator.kernel.system, *arguments)
+    with simulator.settled(p):
+        F, C = _transitions(simulator.kernel.system, *arguments)
     return LinearResponse(tuple(model.balances), X, F, C)
 
 

@@ -172,6 +172,14 @@ MOST_EFFORT = 2_000_000_000
 
 HELD_REACH = 0.3
 """[of its value] Within which a held parameter is sought. Chosen."""
+FOREIGN_LOOKED_AT, FOREIGN_DOUBTED = 100, 3
+"""Parameters of an FMU whose answers are simulated, the first of its description, and those that a
+search may doubt. Chosen.
+"""
+ANSWER_STEP = 1e-3
+"""[of its value] By which one of them is moved for its slopes. Chosen."""
+SECANTS = 3
+"""In turn, each over the step that the one before asks for. Chosen."""
 
 SENSOR_NOISE = 0.01
 """[of its signal's RMS] Plausible noise of a sensor that is not there yet. Chosen."""

@@ -61,8 +61,9 @@ from residuum.identification.unseen_blocks.structure import Structure, fitted
 from residuum.identification.unseen_blocks.trial_fits import (
     QuickFit,
     best_of_each,
+    elsewhere,
     fit_from,
-    full_fit,
+    full_fit_or_left_out,
     quick_fit,
     refined,
     shows,
@@ -75,6 +76,8 @@ from residuum.identification.unseen_blocks.tried import (
     accurate,
     at_the_timing_it_suits,
     begun,
+    exchange,
+    resolved,
     validated_in_nats,
     with_only,
     without_needless,
@@ -88,15 +91,23 @@ if TYPE_CHECKING:
 # `without_needless`.
 
 
-def joins(outcome: Search, ranked: Sequence[ValidatedFit]) -> bool:
-    """Whether any is real; the simplest of the best that are is the best from now on."""
+def joins(outcome: Search, ranked: list[ValidatedFit]) -> bool:
+    """Whether any is real; the simplest of the best that are is the best from now on.
+
+    One whose own modes ask for finer integration steps is judged with these, in the place of what
+    it was among those `ranked`.
+    """
     scale, before = outcome.validation.scale, outcome.best
-    real = real_ones(ranked, before, outcome.base, scale, outcome.tried)
-    if not real:
-        real = _leaving_noise(outcome, ranked)
-    if not real:
-        return False
-    chosen = simplest(real, scale)
+    while True:
+        real = real_ones(ranked, before, outcome.base, scale, outcome.tried)
+        real = real or _leaving_noise(outcome, ranked)
+        if not real:
+            return False
+        chosen = simplest(real, scale)
+        finer = resolved(chosen, before, outcome.validation)
+        if finer is chosen:
+            break
+        exchange(outcome, ranked, chosen, finer)
     outcome.best = chosen
     outcome.group = all_alike(ranked, chosen, before, scale)
     return True
@@ -106,7 +117,7 @@ def _leaving_noise(outcome: Search, ranked: Sequence[ValidatedFit]) -> list[Vali
     """The simplest of the best, where it leaves nothing but noise and is real in nats of that: what
     acts seldom, a limit that is rarely met, is ahead in few blocks alone.
     """
-    if outcome.validation.scale.nats:
+    if outcome.validation.scale.nats or not ranked:
         return []
     chosen = simplest(ranked, outcome.validation.scale)
     if chosen.cost >= outcome.best.cost:
@@ -135,10 +146,12 @@ def related(
     """Effects that generalise one of the best, or are it with many minima side by side, followed
     from where that one fits, and special cases from where the general one does. From nothing they
     may not be reached, or end on the way; and what joined first as the general case may be a
-    special one beside another.
+    special one beside another. And the effect of the best one at its other places, fitted fully.
     """
     leading = sorted(by_keys.values(), key=lambda lead: lead.cost)[:BEAM]
     tasks = [task for lead in leading for task in _relatives(lead, outcome, quick_fits)]
+    siblings = each_beside(refined, elsewhere(leading[:1], by_keys, quick_fits))
+    tasks += [partial(full_fit_or_left_out, trial, outcome.validation) for trial in siblings]
     better: dict[tuple[Key, ...], ValidatedFit] = {}
     for fit in each_beside(lambda task: task(), tasks):
         if fit is None:
@@ -399,19 +412,11 @@ def _fitted(outcome: Search, quick_fits: Collection[QuickFit]) -> list[Validated
     # fits for the best of those
     near = each_beside(refined, best_of_each(quick_fits, FOLLOWED))
     best = best_of_each(near, FULLY_FITTED)
-    fits = each_beside(lambda trial: _full_fit_or_left_out(trial, outcome.validation), best)
+    fits = each_beside(lambda trial: full_fit_or_left_out(trial, outcome.validation), best)
     by_keys = {rival.keys: rival for rival in fits if rival is not None}
     by_keys |= related(outcome, by_keys, quick_fits)
     outcome.every |= by_keys
     return sorted(by_keys.values(), key=lambda rival: rival.cost)
-
-
-def _full_fit_or_left_out(trial: QuickFit, validation: CrossValidation) -> ValidatedFit | None:
-    try:
-        return full_fit(trial, validation)
-    except OutOfWork:
-        left_out(f"{trial.key.effect}@{trial.key.target}, followed to its end")
-        return None
 
 
 def next_beam(outcome: Search, ranked: Sequence[ValidatedFit]) -> list[ValidatedFit]:

@@ -212,3 +212,22 @@ def freed(model: PhysicalModel, names: Iterable[str]) -> PhysicalModel:
         low, high = sorted(((1.0 - HELD_REACH) * p.value, (1.0 + HELD_REACH) * p.value))
         known[name] = replace(p, fixed=False, lower=max(low, p.lower), upper=min(high, p.upper))
     return replace(model, parameters=known)
+
+
+@dataclass(frozen=True)
+class HeldValue:
+    """A parameter's value in the model, where it is fixed, and the one that the records ask for,
+    with its standard deviation.
+
+    Of the parameters in `indistinguishable_from` another value would do as much (a mass, or the
+    area that drives it). It explains as much as the effects `as_much_as` that were found; where
+    there are none, more than any would.
+    """
+
+    name: str
+    held: float
+    value: float
+    std: float
+    unit: str
+    indistinguishable_from: tuple[str, ...] = ()
+    as_much_as: tuple[str, ...] = ()

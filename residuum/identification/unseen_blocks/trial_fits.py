@@ -25,6 +25,7 @@ from residuum.identification.unseen_blocks.cross_validation import (
 from residuum.identification.unseen_blocks.policy import (
     ABSURD,
     FOLLOWED_STARTS,
+    FULLY_FITTED,
     KEPT,
     PROMISING,
     RAN_OFF,
@@ -41,6 +42,7 @@ from residuum.identification.unseen_blocks.structure import (
     at_start,
     descended,
 )
+from residuum.identification.work import OutOfWork, left_out
 
 if TYPE_CHECKING:
     from residuum.identification.unseen_blocks.data import Horizon
@@ -170,6 +172,15 @@ def full_fit(trial: QuickFit, validation: CrossValidation) -> ValidatedFit | Non
     return _lowest(known, structure, trial, validation)
 
 
+def full_fit_or_left_out(trial: QuickFit, validation: CrossValidation) -> ValidatedFit | None:
+    """The full fit; None, and told, where the work is over before it."""
+    try:
+        return full_fit(trial, validation)
+    except OutOfWork:
+        left_out(f"{trial.key.effect}@{trial.key.target}, followed to its end")
+        return None
+
+
 def _on_last_horizon(
     model: PhysicalModel, near: Structure, validation: CrossValidation
 ) -> Fit | None:
@@ -276,6 +287,28 @@ def best_of_each(quick_fits: Collection[QuickFit], count: int) -> list[QuickFit]
     for kind in (SHORT, LONG):
         top |= {trial.keys: trial for trial in _by_error(quick_fits, kind)[:count]}
     return list(top.values())
+
+
+def elsewhere(
+    leading: Sequence[ValidatedFit],
+    by_keys: Mapping[tuple[Key, ...], ValidatedFit],
+    quick_fits: Collection[QuickFit],
+) -> list[QuickFit]:
+    """The quick fits of an effect of these structures at another place, which were not fitted fully.
+
+    Places that exchange what they hold (rooms and their floor) show an effect of one in the other
+    one, too: which it is, errors after a step or three do not tell.
+    """
+    trials = [
+        trial
+        for lead in leading
+        for key in lead.keys
+        for trial in quick_fits
+        if trial.key.effect == key.effect != HELD
+        and trial.keys not in by_keys
+        and trial.is_of(lead, key)
+    ]
+    return best_of_each(trials, FULLY_FITTED)
 
 
 def worth_beside_others(quick_fits: Collection[QuickFit]) -> set[Key]:

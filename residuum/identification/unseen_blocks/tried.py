@@ -21,8 +21,8 @@ from residuum.identification.unseen_blocks.cross_validation import (
     ValidatedFit,
     validated,
 )
-from residuum.identification.unseen_blocks.data import Data, one_turned, turned
-from residuum.identification.unseen_blocks.policy import NOISY, ONE_PHYSICS, UNEVEN
+from residuum.identification.unseen_blocks.data import Data, Horizon, one_turned, turned
+from residuum.identification.unseen_blocks.policy import COARSE, NOISY, ONE_PHYSICS, UNEVEN
 from residuum.identification.unseen_blocks.proposals import special_of
 from residuum.identification.unseen_blocks.scale import Scale, clipped, of_noise, of_power
 from residuum.identification.unseen_blocks.structure import Structure, descended, innovations_on
@@ -216,16 +216,68 @@ def accurate(best: ValidatedFit, validation: CrossValidation) -> ValidatedFit:
     """
     last, structure = validation.last, best.structure
     simulator, taken = Simulator(best.model), structure.steps[last.windows]
-    X0 = [
-        simulator.x0({**known, **part.known})
-        for known, part in zip(structure.states[last.windows], last.parts, strict=True)
-    ]
+    X0 = _first_states(best, last)
     steps = np.maximum(simulator.substeps_each(last.parts, X0, simulator.p()), taken).tolist()
     if steps == list(taken):
         return best
     finer = replace(structure, steps={**structure.steps, last.windows: steps})
     refitted = validation.validate(finer, steps=15, tolerance=1e-6)
     return best if refitted is None or refitted.cost > best.cost else refitted
+
+
+def resolved(
+    found: ValidatedFit, before: ValidatedFit, validation: CrossValidation
+) -> ValidatedFit | None:
+    """The structure refitted with the integration steps that its own modes ask for, where what it
+    has beyond the one before makes them faster than its steps follow; itself where it does not.
+    None where it diverges with them.
+
+    A lag at the limit of the integrator's stability has any time constant but its own, and passes
+    for physics.
+    """
+    windows = validation.last.windows
+    taken = found.structure.steps[windows]
+    needed = _modal_steps(found, validation.last)
+    if not _too_few(taken, needed):
+        return found
+    # a machine that is stiffer than any search follows stays as it was followed
+    needed_before = _modal_steps(before, validation.last)
+    if not _too_few(np.maximum(taken, needed_before).tolist(), needed):
+        return found
+    steps = np.maximum(needed, taken).tolist()
+    finer = replace(found.structure, steps={**found.structure.steps, windows: steps})
+    return validation.validate(finer, steps=15, tolerance=1e-5)
+
+
+def _too_few(taken: Sequence[int], needed: Sequence[int]) -> bool:
+    return any(n > COARSE * own for n, own in zip(needed, taken, strict=True))
+
+
+def exchange(
+    outcome: Search, ranked: list[ValidatedFit], found: ValidatedFit, other: ValidatedFit | None
+) -> None:
+    """Another fit of the same structure in the place of one, among those `ranked` and all that were
+    tried; nothing in its place where there is none.
+    """
+    ranked.remove(found)
+    if other is not None:
+        outcome.every[other.keys] = other
+        ranked.append(other)
+        ranked.sort(key=lambda rival: rival.cost)
+
+
+def _modal_steps(found: ValidatedFit, last: Horizon) -> list[int]:
+    """Steps a sample that the fastest mode of each window asks for."""
+    simulator = Simulator(found.model)
+    return simulator.modal_substeps(last.parts, _first_states(found, last), simulator.p())
+
+
+def _first_states(found: ValidatedFit, last: Horizon) -> list[FloatArray]:
+    simulator = Simulator(found.model)
+    return [
+        simulator.x0({**known, **part.known})
+        for known, part in zip(found.structure.states[last.windows], last.parts, strict=True)
+    ]
 
 
 def _unevenness(

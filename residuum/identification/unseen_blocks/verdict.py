@@ -58,13 +58,14 @@ class Candidate:
     `step` counts the effects that were accepted before it; `evidence` is its log odds against
     "nothing more is missing"; the errors are RMS simulation errors of `output` before and after it
     was added, on data that were not used for the estimation where `held_out` says so; `share` is
-    the part of the error's power that it takes away on blocks kept aside.
+    the part of the error's power that it takes away on blocks kept aside; `alike` are the effects
+    that cannot be told from it.
     """
 
     effect: str
     balance: str
     probability: float
-    indistinguishable_from: tuple[str, ...]
+    alike: tuple[Key, ...]
     parameters: Mapping[str, Quantity]
     error_before: float
     error_after: float
@@ -80,6 +81,20 @@ class Candidate:
     def key(self) -> Key:
         """The effect at its place."""
         return Key(self.effect, self.balance)
+
+    @property
+    def indistinguishable_from(self) -> tuple[str, ...]:
+        """The effects that cannot be told from it, each once however many its places."""
+        return tuple(dict.fromkeys(key.effect for key in self.alike))
+
+    @property
+    def rivals(self) -> tuple[str, ...]:
+        """What cannot be told from it, for people: with its place where the effect has several."""
+        effects = [self.effect, *(key.effect for key in self.alike)]
+        return tuple(
+            f"{key.effect}@{key.target}" if effects.count(key.effect) > 1 else key.effect
+            for key in self.alike
+        )
 
 
 NONE, UNKNOWN = "none", "unknown"
@@ -437,7 +452,7 @@ def _candidate(
         effect=key.effect,
         balance=key.target,
         probability=float(entry.probability),
-        indistinguishable_from=tuple(rival.effect for rival in entry.alike),
+        alike=tuple(entry.alike),
         parameters={
             name: Quantity(p.value, doubts[name], p.unit) for name, p in parameters.items()
         },

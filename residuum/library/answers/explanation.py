@@ -10,11 +10,12 @@ from typing import Any
 import numpy as np
 
 from residuum.array_types import FloatArray
-from residuum.identification.discrepancy.explain import EstimatedValue, Explanation, HeldValue
+from residuum.identification.discrepancy.explain import EstimatedValue, Explanation
 from residuum.identification.errors import said
 from residuum.identification.physics.model import place_of, tied_to
 from residuum.identification.residual_analysis.policy import SLOW
 from residuum.identification.unseen_blocks.free_term import BlockTerm, nearest_formula
+from residuum.identification.unseen_blocks.structure import HeldValue
 from residuum.identification.unseen_blocks.verdict import (
     BlockErrors,
     Candidate,
@@ -232,6 +233,7 @@ def _candidate_json(candidate: Candidate) -> dict[str, Any]:
         "balance": candidate.balance,
         "probability": candidate.probability,
         "indistinguishable_from": list(candidate.indistinguishable_from),
+        "rivals": list(candidate.rivals),
         "parameters": quantities_json(candidate.parameters),
         "error_before": candidate.error_before,
         "error_after": candidate.error_after,
@@ -258,11 +260,7 @@ def _because(candidate: Candidate) -> str:
             " model without it"
         )
     share = f"{100 * candidate.share.value:.0f} ± {100 * candidate.share.std:.0f} %"
-    alike = (
-        f"; {' or '.join(candidate.indistinguishable_from)} would do as well"
-        if candidate.indistinguishable_from
-        else ""
-    )
+    alike = f"; {' or '.join(candidate.rivals)} would do as well" if candidate.alike else ""
     return (
         f"{candidate.effect} at {candidate.balance} takes away {share} of the error's power on"
         f" blocks kept aside{alike}"
@@ -290,11 +288,7 @@ def _candidate_text(candidate: Candidate) -> str:
         f"{candidate.error_before:.4g} → {candidate.error_after:.4g} {candidate.error_unit}"
     )
     bounds = "" if candidate.within_bounds else "; at a physical bound"
-    rivals = (
-        f"; not to be told from {', '.join(candidate.indistinguishable_from)}"
-        if candidate.indistinguishable_from
-        else ""
-    )
+    rivals = f"; not to be told from {', '.join(candidate.rivals)}" if candidate.alike else ""
     return text + bounds + rivals
 
 
@@ -306,9 +300,14 @@ def held_text(held: HeldValue) -> str:
         else ""
     )
     asked, way_on = value_text(held.value, held.std, held.unit), said("free", [held.name])
+    against = (
+        f"as much as {' and '.join(held.as_much_as)}"
+        if held.as_much_as
+        else "more than an effect would"
+    )
     return (
         f"  {held.name} is fixed at {held.held:.4g} {held.unit}; the records ask for {asked}, which"
-        f" explains more than an effect would{alike}: improve with {way_on} takes it up"
+        f" explains {against}{alike}: improve with {way_on} takes it up"
     )
 
 

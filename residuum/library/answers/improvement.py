@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import asdict
 from typing import Any
 
-from residuum.identification.discrepancy.improvement import Improvement, quantities_of
+from residuum.identification.discrepancy.improvement import Improvement, Step, quantities_of
 from residuum.identification.physics import EffectUse
 from residuum.library.answers.explanation import (
     held_text,
@@ -25,7 +25,7 @@ def improvement_json(improvement: Improvement, file: str | None) -> dict[str, An
     remaining = None if improvement.explanation is None else improvement.explanation.remaining
     return {
         "history": [
-            {"added": step.added, "error": step.error}
+            {"added": step.added, "at": step.at, "error": step.error}
             | {"remaining": None if step.remaining is None else remaining_json(step.remaining)}
             for step in improvement.history
         ],
@@ -65,11 +65,11 @@ def improvement_text(improvement: Improvement, file: str | None) -> str:
         " estimated on the rest):"
     ]
     lines += [
-        f"  {step.added or 'the model as it was'}: {step.error:.4g} {improvement.error_unit}"
+        f"  {step_text(step)}: {step.error:.4g} {improvement.error_unit}"
         for step in improvement.history
     ]
-    lines += [_effect_text(use, improvement) for use in improvement.added]
     lines += [] if improvement.explanation is None else map(held_text, improvement.explanation.held)
+    lines += [_effect_text(use, improvement) for use in improvement.added]
     if improvement.refused:
         lines.append(
             "  not added, for the error on held-out data would rise:"
@@ -84,6 +84,12 @@ def improvement_text(improvement: Improvement, file: str | None) -> str:
     return "\n".join(lines)
 
 
+def step_text(step: Step) -> str:
+    """What a line of the history says was added, and where."""
+    place = "" if step.at is None else f" in {step.at}"
+    return f"{step.added or 'the model as it was'}{place}"
+
+
 def _effect_text(use: EffectUse, improvement: Improvement) -> str:
     judged = improvement.candidate(use)
     sizes = tied_text(use.id, use.target, quantities_of(use)) or sizes_text(quantities_of(use))
@@ -91,9 +97,5 @@ def _effect_text(use: EffectUse, improvement: Improvement) -> str:
     # What a user asked for by name was not compared with rivals, and has no probability.
     if judged is None:
         return text
-    rivals = (
-        f", not to be told from {', '.join(judged.indistinguishable_from)}"
-        if judged.indistinguishable_from
-        else ""
-    )
+    rivals = f", not to be told from {', '.join(judged.rivals)}" if judged.alike else ""
     return f"{text} (probability {judged.probability:.2f}{rivals})"

@@ -11,8 +11,9 @@ from fastapi import APIRouter, Path, Query, Request, Response
 from pydantic import BaseModel, Field, ValidationError
 from starlette.concurrency import run_in_threadpool
 
-from residuum.identification.errors import BadInput
+from residuum.identification.errors import BadInput, Forbidden
 from residuum.identification.physics import write_model
+from residuum.identification.physics.fmu.permission import is_packed
 from residuum.library.questions import field
 from residuum.service.api.answers import PROBLEMS, JobAnswer
 from residuum.service.api.parameters import NAME
@@ -41,6 +42,7 @@ from residuum.service.machines.baselines import (
     has_baseline,
     train_baseline,
     training_windows,
+    uploaded_windows,
     what_is_trained,
 )
 from residuum.service.machines.scoring import diagnoser_class
@@ -55,6 +57,8 @@ MachineName = Annotated[str, Path(alias="asset", description="Name of the machin
 # Recorded windows that are listed, the newest. As many as the list of windows to leave out of a
 # training may name.
 _WINDOWS_SHOWN = 500
+_TRAINABLE = ("physical", "fmu")
+"""Kinds of models that a baseline is trained with."""
 # Windows that become records at once: as many as an analysis takes.
 _MOST_RECORDS = 64
 _OF_TABLE = ({"kind": ["table"]},)
@@ -103,6 +107,22 @@ class Training(BaseModel, extra="forbid"):
     second: bool = Field(False, description="Train the machine's second opinion, with its model.")
     leave_out: list[int] = Field(
         [], max_length=500, description="Recorded windows in which the machine was not healthy."
+    )
+    records: list[Annotated[int, Field(ge=1, le=2**53 - 1)]] | None = Field(
+        None,
+        min_length=1,
+        max_length=MOST,
+        description=(
+            "Uploaded records, each a healthy window, in the place of the machine's own windows."
+        ),
+    )
+    free: list[str] | None = Field(
+        None,
+        max_length=100,
+        description=(
+            "model-based: values that are followed from window to window, all others held; of an"
+            " FMU its parameters (default: those that the model does not hold, of an FMU none)."
+        ),
     )
     fix_undetermined: bool = Field(
         False, description="model-based: keep values that the windows leave open at the file's."
@@ -265,27 +285,38 @@ def add_records(running: Running, machine: MachineName, asked: WindowsAsRecords)
 def train(request: Request, running: Running, machine: MachineName, asked: Training) -> Response:
     """Train the machine's baseline from its own windows, and judge by it from now on.
 
-    Without a baseline the recorded windows are taken; with one, those that it judged healthy.
+    Without a baseline the recorded windows are taken; with one, those that it judged healthy; or
+    uploaded records, of a time when nobody watched.
     """
+    if asked.records is not None and asked.leave_out:
+        raise BadInput(
+            "body, leave_out: names windows of the machine, and `records` are taken in their place;"
+            " leave one of them out"
+        )
     settings = running.pipeline.machine(machine)
     trained = what_is_trained(running.store, settings, second=asked.second)
     judged = has_baseline(running.store, machine, settings.baseline)
     baseline = trained.name
     model = _model(running, asked, trained.model) if trained.diagnoser == "model-based" else None
+    used = used_by(model)
     # With a baseline what it judged healthy, without one what was recorded.
-    windows, holes = training_windows(
-        running.store,
-        machine,
-        asked.leave_out,
-        judged=judged,
-        channels=settings.channels,
-        used=used_by(model),
+    windows, holes = (
+        training_windows(
+            running.store,
+            machine,
+            asked.leave_out,
+            judged=judged,
+            channels=settings.channels,
+            used=used,
+        )
+        if asked.records is None
+        else uploaded_windows(running.store, asked.records, settings.channels, used)
     )
     given: dict[str, Any] = {
         "fix_undetermined": asked.fix_undetermined or None,
         "method": asked.method,
     }
-    given |= {"false_alarms_per_day": asked.false_alarms_per_day}
+    given |= {"false_alarms_per_day": asked.false_alarms_per_day, "free": asked.free}
     own = {name: value for name, value in given.items() if value is not None}
     by = caller_of(request).name
 
@@ -294,7 +325,7 @@ def train(request: Request, running: Running, machine: MachineName, asked: Train
         version = running.store.add_model_version(
             baseline, "baseline", outcome["baseline"], note, by
         )
-        if model is not None:
+        if model is not None and not is_packed(model[1]):
             text = model[1] if model[1] is not None else write_model(model_of(*model)).encode()
             running.store.add_model_version(
                 f"{machine}.model", "physical", text, f"{model[0]}: {note}", by
@@ -319,6 +350,7 @@ def train(request: Request, running: Running, machine: MachineName, asked: Train
         model,
         own,
         present,
+        running.settings.allow_fmus,
     )
     return accepted(running.jobs.submit("train", train_baseline, *arguments, then=keep))
 
@@ -343,7 +375,14 @@ def _described(running: Services, machine: str) -> dict[str, Any]:
 def _model(running: Services, asked: Training, of_machine: str | None) -> ModelText:
     """The model that is asked for, or the machine's; BadInput when there is none."""
     if asked.model is not None:
-        return stored_model(running.store, asked.model, asked.version)
-    if of_machine is None:
+        model = stored_model(running.store, asked.model, asked.version, _TRAINABLE)
+    elif of_machine is None:
         raise BadInput("body, model: is missing; the diagnoser model-based is trained with a model")
-    return model_of_settings(running.store, of_machine)
+    else:
+        model = model_of_settings(running.store, of_machine, _TRAINABLE)
+    if is_packed(model[1]) and not running.settings.allow_fmus:
+        raise Forbidden(
+            f"model {model[0]!r}: is an FMU, which is native code; this service runs none, as its"
+            " setting allow_fmus says; train by a model file, or elsewhere by `residuum train`"
+        )
+    return model

@@ -24,13 +24,13 @@ from residuum.service.store import ModelVersion, NotFound
 router = APIRouter(prefix="/models", tags=["models"], responses=PROBLEMS)
 
 VersionNumber = Annotated[int, Path(description="Number of the version.", ge=1, le=10**9)]
-Kind = Literal["physical", "identified", "baseline"]
+Kind = Literal["physical", "identified", "baseline", "fmu"]
 _MODEL_BODY = {
     "requestBody": {
         "required": True,
         "description": (
-            "The model file's bytes: YAML (physical), JSON (identified) or a stored diagnoser"
-            " (baseline)."
+            "The model file's bytes: YAML (physical), JSON (identified), a stored diagnoser"
+            " (baseline) or an FMU (fmu), which is native code: the setting allow_fmus must be on."
         ),
         "content": {"application/octet-stream": {"schema": {"type": "string", "format": "binary"}}},
     }

@@ -15,7 +15,6 @@ from residuum.service.api.parameters import NAME
 from residuum.service.api.responses import Json, StrictRoute
 from residuum.service.security.access import Caller
 from residuum.service.services import Running, Services, caller_of
-from residuum.service.window_queue.set_aside import SetAside
 
 router = APIRouter(tags=["live"], route_class=StrictRoute, responses=PROBLEMS)
 
@@ -41,14 +40,9 @@ def get_status(running: Running, request: Request) -> Response:
     sites, of theirs.
 
     `compiled`: whether all is compiled that explanations need; until then the first one waits for
-    it. `set_aside`: how many messages of the broker were set aside, and the newest with their
-    reasons; not told to a key of some sites.
+    it.
     """
-    answer = {**_status(running, caller_of(request)), "compiled": is_compiled()}
-    # Messages that were set aside are of the whole plant.
-    if caller_of(request).sites is None:
-        answer["set_aside"] = SetAside(running.settings.data).to_json()
-    return Json(answer)
+    return Json({**_status(running, caller_of(request)), "compiled": is_compiled()})
 
 
 @router.get("/sources")

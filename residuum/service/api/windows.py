@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Callable, Sequence
+from concurrent.futures.process import BrokenProcessPool
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from fastapi import APIRouter, Header, Query, Request, Response
 from starlette.concurrency import run_in_threadpool
 
-from residuum.diagnosis.diagnosers.base import Diagnoser
+from residuum.diagnosis.diagnosers.base import Channel, Diagnoser
+from residuum.diagnosis.finding import Finding
 from residuum.diagnosis.vibration.spectra import amplitude_spectrum
 from residuum.identification.errors import BadInput
 from residuum.identification.record import Record
@@ -23,6 +26,7 @@ from residuum.service.api.answers import (
     WindowAnswer,
 )
 from residuum.service.api.parameters import (
+    NAME,
     AssetName,
     ChannelNames,
     Cursor,
@@ -40,10 +44,16 @@ from residuum.service.api.signal_body import (
     kind_of,
     record_of,
 )
-from residuum.service.machines.baselines import deciding_method, newest_baseline
+from residuum.service.machines.baselines import (
+    deciding_method,
+    newest_baseline,
+    newest_baseline_file,
+)
+from residuum.service.machines.scoring import diagnoser_class, score_window
 from residuum.service.services import Running, Services
 from residuum.service.store import NotFound, StoredWindow
 from residuum.service.views.signal_view import extremes, signal_view
+from residuum.service.work.worker_pool import PlainRecord
 
 router = APIRouter(prefix="/assets/{asset}/windows", tags=["windows"], responses=PROBLEMS)
 
@@ -60,6 +70,20 @@ async def add_window(
         Literal["source", "default"] | None,
         Query(description="What decides, of a diagnoser with two; default: the machine's choice."),
     ] = None,
+    baseline: Annotated[
+        str | None,
+        Query(description="Name of its trained baseline; default: the asset's own.", pattern=NAME),
+    ] = None,
+    unattended: Annotated[
+        bool,
+        Query(
+            description=(
+                "As gateways ask, of whom nobody reads the answer: judged in a worker process, what"
+                " the diagnoser refuses is kept as not assessable, and a method that was chosen for"
+                " the machine stands before `method`."
+            )
+        ),
+    ] = False,
     idempotency_key: Annotated[
         str | None,
         Header(description="The same key never stores twice.", min_length=1, max_length=200),
@@ -71,19 +95,15 @@ async def add_window(
     stores nothing twice and gets the first answer. The diagnoser is the asset's, with the baseline
     of the asset's name where there is one.
     """
+    judging = _unattended if unattended else _attended
     # Before the body is read: a window that nobody could judge is refused without it.
-    judge = await run_in_threadpool(_judge, running, asset, diagnoser)
-    deciding: str | None = method
-    if deciding is None:
-        deciding = await run_in_threadpool(deciding_method, running.store, asset, judge.name)
-    judge = judge if deciding is None else judge.with_settings(method=deciding)
+    score, channels = await run_in_threadpool(judging, running, asset, diagnoser, baseline, method)
     # Query and body together are the request: the same key with another one is refused.
     digest = await _digest(request.url.query.encode(), await body_of(request))
     with remedies_in_query(kind_of(request)):
-        record = await record_of(request, judge.channels)
-        return await run_in_threadpool(
-            _store, running, asset, record, judge, idempotency_key, digest
-        )
+        record = await record_of(request, channels)
+        in_turn = running.judging if unattended else run_in_threadpool
+        return await in_turn(_store, running, asset, record, score, idempotency_key, digest)
 
 
 @router.get("", response_model=PageOf[WindowAnswer])
@@ -192,7 +212,44 @@ def _spectrum(
     return Json(answer)
 
 
-def _judge(running: Services, asset: str, diagnoser: str | None) -> Diagnoser:
+Score = Callable[[Record], Finding]
+
+
+def _attended(
+    running: Services, asset: str, diagnoser: str | None, baseline: str | None, method: str | None
+) -> tuple[Score, Sequence[Channel]]:
+    """What judges a window in this process, and its channels: who sent the window reads what it
+    refuses.
+    """
+    name = _diagnoser(running, asset, diagnoser)
+    judge = _judge(running, asset, name, baseline)
+    deciding = method or deciding_method(running.store, asset, name)
+    judge = judge if deciding is None else judge.with_settings(method=deciding)
+    return judge.score, judge.channels
+
+
+def _unattended(
+    running: Services, asset: str, diagnoser: str | None, baseline: str | None, method: str | None
+) -> tuple[Score, Sequence[Channel]]:
+    """What judges a window as those of the service's own buses are."""
+    name = _diagnoser(running, asset, diagnoser)
+    deciding = deciding_method(running.store, asset, name, method)
+    file = newest_baseline_file(running.store, running.settings.data, asset, baseline)
+    fmus, workers = running.settings.allow_fmus, running.workers
+
+    def score(record: Record) -> Finding:
+        try:
+            return workers.call(score_window, name, file, PlainRecord.of(record), deciding, fmus)
+        except BrokenProcessPool:
+            if workers.closed:
+                raise
+            # sent again it would end the next worker, and hold up its machine for ever
+            return Finding.not_assessable(name, "judging it ended its process several times")
+
+    return score, diagnoser_class(name).channels
+
+
+def _diagnoser(running: Services, asset: str, diagnoser: str | None) -> str:
     try:
         name = diagnoser or running.store.asset(asset).diagnoser
     except NotFound:
@@ -202,8 +259,12 @@ def _judge(running: Services, asset: str, diagnoser: str | None) -> Diagnoser:
             f"asset {asset!r}: has no diagnoser yet; say diagnoser=… in the query of its first"
             " window"
         )
+    return name
+
+
+def _judge(running: Services, asset: str, name: str, baseline: str | None) -> Diagnoser:
     try:
-        return running.judges.trained(name, newest_baseline(running.store, asset).model)
+        return running.judges.trained(name, newest_baseline(running.store, asset, baseline).model)
     except NotFound:
         # Absolute indicators alone are judged then, as `POST /score` does without a baseline.
         return running.judges.untrained(name)
@@ -218,12 +279,12 @@ async def _digest(query: bytes, body: bytes) -> str:
 
 
 def _store(
-    running: Services, asset: str, record: Record, judge: Diagnoser, key: str | None, digest: str
+    running: Services, asset: str, record: Record, score: Score, key: str | None, digest: str
 ) -> Response:
     # A repeated request is answered before its window is judged again.
     window = None if key is None else running.store.window_with_key(asset, key, digest)
     if window is None:
-        window = running.store.add_window(asset, record, judge.score(record), key, digest)
+        window = running.store.add_window(asset, record, score(record), key, digest)
     return Json(
         _described(running, asset, window),
         201,

@@ -63,11 +63,10 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "report": ("report_file", "Records, and a model beside them, as one page that can be sent."),
     "results": ("results", "Findings and windows as Parquet files, a machine's month as a page."),
     "restore": ("restore", "Bring a backup back into an empty data folder and database."),
-    "gateway": ("gateway", "Read machines and send their windows over MQTT to the scorers."),
-    "scorer": ("scorer", "Judge and store windows that gateways send over MQTT."),
+    "gateway": ("gateway", "Read machines and send their windows to a service, by HTTP."),
     "set-aside": (
         "set_aside",
-        "List messages that scorers could not store, write one into a file, or send them again.",
+        "List windows that the service refused, write one into a file, or send them again.",
     ),
     "machine": ("machine", "Run one simulated machine on a real bus."),
     "simulate": ("simulate", "Write a record of a simulated machine, with effects and faults."),
@@ -97,4 +96,12 @@ COMMANDS: dict[str, tuple[str, str]] = {
         "Identify a model of every record of a folder, bucket or database.",
     ),
     "control": ("control", "Design a robust controller from identified models."),
+}
+
+# Commands that there were: name → what to do instead.
+FORMER = {
+    "scorer": (
+        "windows go to the service by HTTP, and it judges them: name it in the gateways' setting"
+        " service_url, and give it more processes by its setting workers"
+    )
 }

@@ -19,6 +19,7 @@ from residuum.code_folder import code_folder, why_not_kept
 from residuum.identification.errors import BadInput
 from residuum.service.broker import BrokerAddress, try_connection
 from residuum.service.cli import ANSWER_IS_NO
+from residuum.service.commands.gateway import sending_of
 from residuum.service.commands.machine_checks import machine_check
 from residuum.service.commands.report import AsJson, report
 from residuum.service.commands.settings_template import DatabaseUrl, DataFolder, SettingsFile
@@ -27,6 +28,7 @@ from residuum.service.fieldbus.settings import MachineSettings, SourceSettings
 from residuum.service.fieldbus.source_kind import Told, Wrong, streams_alone
 from residuum.service.machines.baselines import has_baseline
 from residuum.service.notifications import receivers_of
+from residuum.service.receivers.receiver_settings import Refused
 from residuum.service.security.access import ApiKeys
 from residuum.service.settings import Settings, is_loopback, load_settings
 from residuum.service.storage import DiskStore, audit
@@ -103,6 +105,7 @@ def doctor(
         *_buses(settings),
         *_machines(settings),
         *([_check("broker", lambda: _broker(settings))] if settings.mqtt else []),
+        *([_check("service", lambda: _service(settings))] if settings.service_url else []),
         *_receivers(settings),
         _check("compiled code", _compiled_code),
     ]
@@ -356,16 +359,24 @@ def _receivers(settings: Settings) -> list[Check]:
     return [_check(f"receiver {each.called}", each.try_connection) for each in receivers]
 
 
-def _broker(settings: Settings) -> tuple[str, str]:
+def _broker(settings: Settings) -> str:
     address = settings.broker
     _let_in(address)
     node = f"; Sparkplug B as {settings.sparkplug}" if settings.sparkplug else ""
-    says = f"{address.host}:{address.port} lets us in; topics begin with {address.prefix}/{node}"
+    return f"{address.host}:{address.port} lets us in; topics begin with {address.prefix}/{node}"
+
+
+def _service(settings: Settings) -> tuple[str, str]:
+    """Of a gateway: whether the service lets it in, and what it refused."""
+    try:
+        says = sending_of(settings).try_service()
+    except (OSError, Refused) as error:
+        raise Wrong(f"{settings.service_url}: {error}") from None
     aside = SetAside(settings.data)
     newest = aside.newest(1)
     remark = (
-        f"{aside.count} messages were set aside in {settings.data / FOLDER}, the last:"
-        f" {newest[0].reason}"
+        f"{aside.count} windows were set aside in {settings.data / FOLDER}, the last:"
+        f" {newest[0].reason}; `residuum set-aside` lists them"
         if newest
         else ""
     )

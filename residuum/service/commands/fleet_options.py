@@ -11,7 +11,7 @@ import typer
 from residuum.identification.errors import BadInput
 from residuum.service.commands.output_file import check_output_file
 from residuum.service.commands.report import progress, report
-from residuum.service.fleet.fleet import FleetSource, Work, open_executor, run_fleet
+from residuum.service.fleet.fleet import FleetSource, Work, answers_of, open_executor, run_fleet
 
 Source = Annotated[
     str,
@@ -40,9 +40,9 @@ Scheduler = Annotated[
     typer.Option(metavar="tcp://…", help="Dask scheduler whose workers see the same files."),
 ]
 
-# How often a run tells how far it is. A line every 5 %: of a million records a line each would be
-# the output.
-_STEPS = 20
+# How often a run tells how far it is: every per cent. Of a million records a line each would be the
+# output.
+_STEPS = 100
 
 
 class FleetRun(NamedTuple):
@@ -59,8 +59,10 @@ def run_over_fleet(source: FleetSource, work: Work, run: FleetRun, counts: dict[
     place and value.
     """
     check_output_file(run.results)
+    files = source.items()
     # The results may stand in the folder of the records, and are none.
-    files = [item for item in source.items() if item != str(run.results)]
+    if str(run.results) in files:
+        files = [item for item in files if item != str(run.results)]
     if not files:
         raise BadInput(f"{source}: holds no record")
     workers = run.workers or os.cpu_count() or 1
@@ -73,12 +75,15 @@ def run_over_fleet(source: FleetSource, work: Work, run: FleetRun, counts: dict[
             progress(f"{done} of {all_files} files")
 
     with open_executor(workers, run.scheduler) as executor:
-        answers = run_fleet(files, work, executor, run.results, workers=workers, tell=tell)
-    summary = {"files": len(answers), "refused": sum("refused" in answer for answer in answers)}
-    summary |= {
-        name: sum(_at(answer, *place.split("=")) for answer in answers)
-        for name, place in counts.items()
-    }
+        gone = run_fleet(files, work, executor, run.results, workers=workers, tell=tell)
+    if gone:
+        progress(f"{run.results}: {gone} results of other records were left out")
+    summary = dict.fromkeys(("files", "refused", *counts), 0)
+    for answer in answers_of(run.results):
+        summary["files"] += 1
+        summary["refused"] += "refused" in answer
+        for name, place in counts.items():
+            summary[name] += _at(answer, *place.split("="))
     says = ", ".join(f"{count} {name}" for name, count in summary.items())
     answer = summary | {"results": str(run.results)}
     report(answer, f"{says}; written to {run.results}", as_json=run.as_json)

@@ -124,26 +124,36 @@ class Reading:
         """What a model maps itself: all but the column of times."""
         return {name: column for name, column in self._columns.items() if name != "time"}
 
+    @property
+    def options(self) -> ReadOptions:
+        """How files and histories are read, their columns named as they are there."""
+        # a unit is said of a column, or of the name that it gets
+        units = {
+            self._columns.get(name, name): unit for name, unit in pairs("--unit", self.unit).items()
+        }
+        return ReadOptions(
+            resample=self.resample,
+            sample_time=self.sample_time,
+            units=units,
+            time_column=self._columns.get("time"),
+        )
+
     def for_model(self, files: Sequence[Path]) -> list[Record]:
         """The records, their columns named as in the file: a model maps them (`signals`)."""
         if self.dbc is not None and not any(is_can_log(file) for file in files):
             raise BadRecord(
                 f"--dbc {self.dbc}: no record is a CAN log; these end in {', '.join(CAN_LOGS)}"
             )
-        # a unit is said of a column, or of the name that it gets
-        units = {
-            self._columns.get(name, name): unit for name, unit in pairs("--unit", self.unit).items()
-        }
-        time = self._columns.get("time")
-        options = ReadOptions(
-            resample=self.resample, sample_time=self.sample_time, units=units, time_column=time
-        )
+        options = self.options
         return [_read(file, options, self.mapping, self.dbc) for file in files]
 
     def named(self, files: Sequence[Path]) -> list[Record]:
         """The records, their columns under the names that they were given."""
-        names = {column: name for name, column in self.signals.items()}
-        return [record.rename(names) for record in self.for_model(files)]
+        return [self.renamed(record) for record in self.for_model(files)]
+
+    def renamed(self, record: Record) -> Record:
+        """A record, its columns under the names that they were given."""
+        return record.rename({column: name for name, column in self.signals.items()})
 
     @property
     def _columns(self) -> dict[str, str]:

@@ -1,5 +1,5 @@
-"""`residuum set-aside`: the messages of the broker that were set aside; one of them whole, or all
-of them once more.
+"""`residuum set-aside`: the windows that the service refused; one of them as a record, or all of
+them sent once more.
 """
 
 from __future__ import annotations
@@ -12,9 +12,12 @@ from typing import Annotated
 import typer
 
 from residuum.identification.errors import BadInput
+from residuum.service.commands.gateway import sending_of
 from residuum.service.commands.report import AsJson, report
+from residuum.service.receivers.receiver_settings import Refused
 from residuum.service.settings import Settings, load_settings
-from residuum.service.window_queue.set_aside import Poisoned, SetAside, send_again
+from residuum.service.window_queue.gateway import window_of
+from residuum.service.window_queue.set_aside import Refusal, SetAside
 
 app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
 
@@ -22,19 +25,20 @@ app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
 @app.command()
 def set_aside(
     name: Annotated[
-        str | None, typer.Argument(help="Name of one message, as it is listed; default: all.")
+        str | None, typer.Argument(help="Name of one window, as it is listed; default: all.")
     ] = None,
     to: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Write the message there, byte for byte.")
+        Path | None,
+        typer.Option(metavar="FILE.npz", help="Write the window there, as a record file."),
     ] = None,
     again: Annotated[
-        bool, typer.Option("--again", help="Send it, or all, to the scorers once more.")
+        bool, typer.Option("--again", help="Send it, or all, to the service once more.")
     ] = False,
-    data: Annotated[Path | None, typer.Option(help="Data folder of the scorers.")] = None,
+    data: Annotated[Path | None, typer.Option(help="Data folder of the gateway.")] = None,
     as_json: AsJson = False,
 ) -> None:
-    """List what scorers could not store and set aside. Once an update has mended the reason,
-    --again has it stored.
+    """List what the service refused and the gateway set aside. Once an update has mended the
+    reason, --again has it stored.
     """
     settings = load_settings(data=data)
     aside = SetAside(settings.data)
@@ -42,42 +46,52 @@ def set_aside(
     if to is not None:
         if name is None:
             raise BadInput(
-                "--to: takes one message; give its name, as `residuum set-aside` lists them"
+                "--to: takes one window; give its name, as `residuum set-aside` lists them"
             )
-        _write(aside.payload(name), to)
-    # After the file was written: a message that is stored leaves the folder.
+        _write(window_of(aside.request(name)), to)
+    # After the file was written: a window that is stored leaves the folder.
     outcomes = _sent_again(settings, aside, chosen) if again else {}
-    lines = [_line(message, outcomes) for message in chosen]
+    lines = [_line(refusal, outcomes) for refusal in chosen]
     answer = {
-        "messages": [asdict(message) for message in chosen],
+        "windows": [asdict(refusal) for refusal in chosen],
         "stored": [sent_name for sent_name, why_refused in outcomes.items() if why_refused is None],
     }
     report(answer, "\n".join(lines) or "Nothing is set aside.", as_json=as_json)
 
 
 def _sent_again(
-    settings: Settings, aside: SetAside, chosen: Sequence[Poisoned]
+    settings: Settings, aside: SetAside, chosen: Sequence[Refusal]
 ) -> dict[str, str | None]:
-    """By name, why a message was refused again; None where it is stored now."""
-    if not settings.mqtt:
-        raise BadInput(
-            "setting mqtt: is empty; --again needs the broker that the messages came from"
-        )
-    if not chosen:
-        return {}
-    sent = send_again(settings.broker, aside, chosen)
-    return {message.name: why_refused for message, why_refused in sent}
+    """By name, why a window was refused again; None where it is stored now, and has left the
+    folder.
+    """
+    sending, outcomes = sending_of(settings), dict[str, str | None]()
+    # the oldest first, under their own keys: what is stored already is stored no second time
+    for refusal in sorted(chosen, key=lambda refusal: refusal.name):
+        try:
+            sending.send(refusal.key, aside.request(refusal.name))
+        except Refused as refused:
+            outcomes[refusal.name] = str(refused)
+        except OSError as error:
+            raise BadInput(
+                f"{refusal.name}: the service at {sending.url} does not take it now, so it stays:"
+                f" {error}"
+            ) from None
+        else:
+            aside.let_go(refusal.name)
+            outcomes[refusal.name] = None
+    return outcomes
 
 
-def _line(message: Poisoned, outcomes: dict[str, str | None]) -> str:
-    """A message as it is listed; with why it was refused again, None where it is stored now."""
-    begin = f"{message.name}: {message.size_bytes} bytes from {message.gateway!r}"
-    if message.name not in outcomes:
-        return f"{begin}: {message.reason}"
-    why_refused = outcomes[message.name]
+def _line(refusal: Refusal, outcomes: dict[str, str | None]) -> str:
+    """A window as it is listed; with why it was refused again, None where it is stored now."""
+    begin = f"{refusal.name}: {refusal.size_bytes} bytes of {refusal.machine}"
+    if refusal.name not in outcomes:
+        return f"{begin}: {refusal.reason}"
+    why_refused = outcomes[refusal.name]
     if why_refused is None:
         return f"{begin}: is stored now"
-    return f"{begin}: was refused and set aside anew: {why_refused}"
+    return f"{begin}: was refused again, and stays: {why_refused}"
 
 
 def _write(content: bytes, to: Path) -> None:

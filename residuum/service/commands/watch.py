@@ -16,9 +16,11 @@ import typer
 from residuum.identification.errors import BadInput
 from residuum.identification.physics import load_model
 from residuum.nearest_names import known_names
+from residuum.service.commands.healthy_history import lent_windows
 from residuum.service.commands.machine_checks import bus_signals
 from residuum.service.commands.options_of import expanded
 from residuum.service.commands.output_file import check_output_file
+from residuum.service.commands.records import Reading, reads
 from residuum.service.commands.report import AsJson, progress, report
 from residuum.service.commands.running_service import HERE, ServiceUrl, answered, ask
 from residuum.service.commands.settings_template import SettingsFile, settings_template
@@ -194,8 +196,10 @@ def windows(
 
 
 @app.command()
+@reads()
 def train(
     machine: MachineArgument,
+    reading: Reading,
     url: ServiceUrl = HERE,
     model: Annotated[
         str | None,
@@ -205,6 +209,25 @@ def train(
     leave_out: Annotated[
         list[int] | None,
         typer.Option(help="A recorded window in which the machine was not healthy."),
+    ] = None,
+    records: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--from",
+            metavar="HISTORY|RECORD",
+            help=(
+                "Healthy windows from elsewhere, in the place of the machine's own: a history"
+                " (timescale://…, influx://… or opc.tcp://…), of whose windows some are taken"
+                " evenly, or a record file, which is one window; may be repeated."
+            ),
+        ),
+    ] = None,
+    healthy: Annotated[
+        str | None,
+        typer.Option(
+            metavar="BEGIN..END",
+            help="When the machine of a history was healthy, as 2026-03..2026-05 (UTC).",
+        ),
     ] = None,
     fix_undetermined: Annotated[
         bool,
@@ -218,26 +241,31 @@ def train(
     ] = None,
     as_json: AsJson = False,
 ) -> None:
-    """Train a machine's baseline from its recorded windows; the service judges by it from now
-    on.
+    """Train a machine's baseline from its recorded windows, or from its history; the service judges
+    by it from now on.
     """
     body: dict[str, Any] = {"leave_out": leave_out or [], "fix_undetermined": fix_undetermined}
     # Left out where it was not said: the service then takes the machine's own.
     body |= {"model": model} if model else {}
     body |= {"second": True} if second else {}
     body |= {"false_alarms_per_day": false_alarms_per_day} if false_alarms_per_day else {}
-    job = ask(url, f"/assets/{_quoted(machine)}/training", body)
+    if records is None and (healthy is not None or reading != Reading()):
+        raise BadInput("--healthy, --map and how files are read are said of --from; it is missing")
+    with lent_windows(url, _quoted(machine), records or (), healthy, reading) as lent:
+        body |= {"records": lent.records} if records else {}
+        job = ask(url, f"/assets/{_quoted(machine)}/training", body)
     while job["state"] in ("queued", "running"):
         progress(job["doing"], job["progress"])
         time.sleep(_PAUSE)
         job = ask(url, f"/jobs/{job['id']}")
     if job["state"] != "done":
         raise BadInput(job["error"] or f"the training was {job['state']}")
-    result = job["result"]
+    result = job["result"] | ({"from": lent.says} if records else {})
     lines = [
         f"{machine}: trained on {result['windows']} windows; {result['alarms']} of them would raise"
         " an alarm"
     ]
+    lines += [f"  from {told}" for told in lent.says]
     lines += (
         [f"  passed over, since samples are missing: {result['passed_over']}"]
         if result.get("passed_over")

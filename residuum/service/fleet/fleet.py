@@ -13,23 +13,33 @@ import hashlib
 import os
 import shutil
 import tempfile
+import threading
 from collections import deque
-from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Executor, Future, wait
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import lru_cache
 from importlib import import_module
+from itertools import islice
 from pathlib import Path, PurePosixPath
 from typing import IO, Any, Protocol
+from urllib.parse import quote, unquote
 
+import numpy as np
+import numpy.typing as npt
 import orjson
 from sqlalchemy import select
 
 from residuum.identification.errors import BadInput
 from residuum.identification.record import Record
 from residuum.identification.record_formats import OLDER, READERS
-from residuum.identification.record_formats.histories import HistoryReader, has_windows, windows_of
+from residuum.identification.record_formats.histories import (
+    HistoryReader,
+    Windows,
+    is_history,
+    windows_of,
+)
 from residuum.identification.record_formats.history import HistoryAway
 from residuum.identification.record_formats.read_apart import read_safely
 from residuum.library.answers.plain import to_plain
@@ -57,7 +67,7 @@ class Unreachable(Exception):
 class FleetSource(Protocol):
     """Names of records, and the records themselves; travels to worker processes."""
 
-    def items(self) -> list[str]:
+    def items(self) -> Sequence[str]:
         """All names, in an order that is always the same."""
 
     def read(self, item: str) -> Record:
@@ -194,16 +204,29 @@ class HistoryWindows:
     ----------
     address : str
         Of a table, with `window` and perhaps `each`: `timescale://plant/pumps/values?window=600`.
+    machines : tuple of str, optional
+        Values of the column `each` whose windows they are. Default: all that it holds.
     """
 
     address: str
+    machines: tuple[str, ...] | None = None
 
     def __str__(self) -> str:
         return _history(self.address).shown
 
-    def items(self) -> list[str]:
+    @property
+    def each(self) -> str | None:
+        """The column that says whose a window is."""
+        return _history(self.address).each
+
+    def items(self) -> Windows:
         """Addresses of the windows, by machine, oldest first."""
-        return windows_of(self.address)
+        return windows_of(self.address, self.machines)
+
+    def machine_of(self, item: str) -> str | None:
+        """Which of `machines` a window is of; None for another's."""
+        machine = _history(self.address).machine_of(item)
+        return machine if machine in (self.machines or ()) else None
 
     def read(self, item: str) -> Record:
         """The record of a window."""
@@ -218,7 +241,7 @@ def fleet_source(text: str, data: Path | None) -> FleetSource:
     its data folder.
     """
     scheme = text.split("://", maxsplit=1)[0].split("+", maxsplit=1)[0] if "://" in text else ""
-    if has_windows(text) and (scheme not in _DATABASES or "?" in text):
+    if is_history(text) and (scheme not in _DATABASES or "?" in text):
         return HistoryWindows(text)
     if scheme in _DATABASES:
         if data is None or not data.is_dir():
@@ -244,9 +267,15 @@ def _file_system(url: str) -> tuple[Any, str]:
     return files, root
 
 
-@lru_cache(maxsize=4)
 def _history(address: str) -> HistoryReader:
-    """The open connection of a process."""
+    """The open connection of a thread: a worker of Dask has several, and a connection answers one
+    question at a time.
+    """
+    return _history_of(address, threading.get_ident())
+
+
+@lru_cache(maxsize=64)
+def _history_of(address: str, thread: int) -> HistoryReader:
     return HistoryReader(address)
 
 
@@ -279,24 +308,67 @@ def _named(record: Record, source: str) -> Record:
 
 @dataclass(frozen=True)
 class Rescore:
-    """Judge a file with a diagnoser and, where there is one, its baseline."""
+    """Judge a file with a diagnoser and, where there is one, its baseline.
+
+    Parameters
+    ----------
+    diagnoser : str
+    baseline : str, optional
+        A file; or where the source has `machines`, a folder of one for each (`machines_in`).
+    source : FleetSource
+    """
 
     diagnoser: str
     baseline: str | None
     source: FleetSource = field(default_factory=Folder)
 
-    @property
-    def mark(self) -> str:
-        """What the results are made by."""
-        return _mark(f"rescore {self.diagnoser}", self.baseline)
+    def mark(self, file: str) -> str:
+        """What a file's result is made by."""
+        return _mark(f"rescore {self.diagnoser}", self._baseline_of(file))
 
     def __call__(self, file: str) -> dict[str, Any]:
         """`{"by": …, "finding": …}` or `{"by": …, "refused": …}`."""
         try:
-            finding = diagnoser_of_file(self.diagnoser, self.baseline).score(self.source.read(file))
+            # whoever names the baseline lets its FMU run, apart from the worker
+            judge = diagnoser_of_file(self.diagnoser, self._baseline_of(file), fmus=True)
+            finding = judge.score(self.source.read(file))
         except BadInput as error:
-            return {"by": self.mark, "refused": str(error)}
-        return {"by": self.mark, "finding": to_plain(finding.to_json())}
+            return {"by": self.mark(file), "refused": str(error)}
+        return {"by": self.mark(file), "finding": to_plain(finding.to_json())}
+
+    @property
+    def baselines(self) -> list[str]:
+        """The files that are judged by."""
+        if self.baseline is None:
+            return []
+        if self._machines is None:
+            return [self.baseline]
+        return [_baseline_file(self.baseline, machine) for machine in self._machines]
+
+    @property
+    def _machines(self) -> Sequence[str] | None:
+        return self.source.machines if isinstance(self.source, HistoryWindows) else None
+
+    def _baseline_of(self, file: str) -> str | None:
+        source = self.source
+        if not (self.baseline and isinstance(source, HistoryWindows) and source.machines):
+            return self.baseline
+        machine = source.machine_of(file)
+        return machine and _baseline_file(self.baseline, machine)
+
+
+_BASELINE = ".baseline"
+
+
+def _baseline_file(folder: str, machine: str) -> str:
+    # a name may hold what that of a file may not
+    return str(Path(folder) / f"{quote(machine, safe=' ')}{_BASELINE}")
+
+
+def machines_in(folder: Path) -> tuple[str, ...]:
+    """The machines that have a baseline in a folder, `MACHINE.baseline`, sorted."""
+    names = (file.name.removesuffix(_BASELINE) for file in folder.glob(f"*{_BASELINE}"))
+    return tuple(sorted(unquote(name) for name in names))
 
 
 @dataclass(frozen=True)
@@ -306,8 +378,7 @@ class Reidentify:
     asked: Identify
     source: FleetSource = field(default_factory=Folder)
 
-    @property
-    def mark(self) -> str:
+    def mark(self, file: str) -> str:
         """What the results are made by."""
         return _mark(f"reidentify {self.asked!r}", None)
 
@@ -316,7 +387,7 @@ class Reidentify:
         try:
             model = identified_by([self.source.read(file)], self.asked)
         except BadInput as error:
-            return {"by": self.mark, "refused": str(error)}
+            return {"by": self.mark(file), "refused": str(error)}
         fields = {
             "method": model.method,
             "order": model.order,
@@ -329,10 +400,10 @@ class Reidentify:
             "denominator": model.denominator,
             "warnings": list(model.warnings),
         }
-        return {"by": self.mark, "model": to_plain(fields)}
+        return {"by": self.mark(file), "model": to_plain(fields)}
 
 
-@lru_cache(maxsize=4)
+@lru_cache(maxsize=256)
 def _mark(asked: str, baseline: str | None) -> str:
     content = b"" if baseline is None else Path(baseline).read_bytes()
     return hashlib.sha256(asked.encode() + b"\n" + content).hexdigest()[:16]
@@ -342,7 +413,8 @@ Work = Callable[[str], dict[str, Any]]
 """What is done with a file; must be known to the workers by name. A refusal is a value,
 `{"refused": …}`.
 
-A work with a `mark` says it in every result, as `by`; results of another mark are not gone on with.
+A work with a `mark` of a file says it in its result, as `by`; results of another mark are not gone
+on with.
 """
 
 # Files that a worker is given at once, so that handing over costs little beside the work.
@@ -355,7 +427,8 @@ _ATTEMPTS = 5
 
 @dataclass
 class _Task:
-    files: list[str]
+    files: Sequence[str]
+    places: Sequence[int]
     attempts: int = 0
 
 
@@ -394,58 +467,64 @@ def run_fleet(
     *,
     workers: int,
     tell: Callable[[int, int], None],
-) -> list[dict[str, Any]]:
-    """Do `work` for every file that the results file does not have yet; returns all results, in
-    order of the files.
+) -> int:
+    """Do `work` for every file that the results file does not have yet; `answers_of` reads what it
+    then holds, in order of the files. Gives the number of lines of other files, which went.
 
     A file whose worker is killed is done again; one that ends its worker again and again, even
-    alone, is refused. `tell(done, all)` is told of progress. BadInput when the results file holds
-    results of other work.
+    alone, is refused. `tell(done, all)` is told of progress, first of what stood there before.
+    BadInput when the results file holds results of other work, or of other files alone.
     """
     mark = getattr(work, "mark", None)
-    known = _read(results, set(files), mark)
-    waiting = deque(_tasks(files, known))
+    lines = _ResultLines(results, files, mark)
+    lost: deque[_Task] = deque()
     alone: deque[_Task] = deque()
     running: dict[Future[list[dict[str, Any]]], _Task] = {}
+    tell(lines.count, len(files))
+    waiting = _tasks(files, lines.missing())
     with results.open("ab") as out:
-        while waiting or running or alone:
-            for task in _next(waiting, alone, len(running), _AHEAD * workers):
+        while True:
+            for task in _next(waiting, lost, alone, len(running), _AHEAD * workers):
                 running[executor.submit(_work_all, work, task.files)] = task
+            if not running:
+                break
             for future in wait(running, return_when=FIRST_COMPLETED).done:
                 task = running.pop(future)
                 answers = _found(future, task, mark)
                 # its worker was lost: behind the others, so that what kills workers holds up
                 # nothing
                 if answers is None:
-                    (waiting if task.attempts < _ATTEMPTS else alone).extend(_again(task))
+                    (lost if task.attempts < _ATTEMPTS else alone).extend(_again(task))
                     continue
-                known |= {answer["file"]: answer for answer in answers}
-                _write_lines(out, answers)
-                tell(len(known), len(files))
-    ordered = [known[file] for file in files]
-    _write(results, ordered)
-    return ordered
+                lines.add(out, task.places, answers)
+                tell(lines.count, len(files))
+    lines.put_in_order()
+    return lines.of_others
 
 
-def _tasks(files: Sequence[str], done: Collection[str]) -> list[_Task]:
-    left = [file for file in files if file not in done]
-    return [_Task(left[begin : begin + _TOGETHER]) for begin in range(0, len(left), _TOGETHER)]
+def _tasks(files: Sequence[str], left: npt.NDArray[np.int64]) -> Iterator[_Task]:
+    for begin in range(0, len(left), _TOGETHER):
+        places = left[begin : begin + _TOGETHER].tolist()
+        yield _Task([files[place] for place in places], places)
 
 
-def _next(waiting: deque[_Task], alone: deque[_Task], running: int, most: int) -> list[_Task]:
+def _next(
+    waiting: Iterator[_Task], lost: deque[_Task], alone: deque[_Task], running: int, most: int
+) -> list[_Task]:
     """What to begin beside so many: tasks up to `most`, or one alone when nothing else is left."""
+    begun = list(islice(waiting, most - running))
+    begun += [lost.popleft() for _ in range(min(len(lost), most - running - len(begun)))]
     # alone, so that a worker that ends takes no other file's work along
-    begun = [waiting.popleft() for _ in range(min(len(waiting), most - running))]
     return begun if begun or running or not alone else [alone.popleft()]
 
 
-def _work_all(work: Work, files: list[str]) -> list[dict[str, Any]]:
+def _work_all(work: Work, files: Sequence[str]) -> list[dict[str, Any]]:
     """In the worker."""
     return [{"file": file, **work(file)} for file in files]
 
 
 def _found(
-    future: Future[list[dict[str, Any]]], task: _Task, mark: str | None
+    future: Future[list[dict[str, Any]]], task: _Task, mark: Callable[[str], str] | None
 ) -> list[dict[str, Any]] | None:
     """What a task gave, None when its worker was lost; a lone file that has lost too many is
     refused.
@@ -467,55 +546,108 @@ def _found(
         raise error
     task.attempts += 1
     if len(task.files) == 1 and task.attempts > 2 * _ATTEMPTS:
+        (file,) = task.files
         refused = {"refused": f"reading or judging it ended its worker {task.attempts} times"}
-        return [{"file": task.files[0], **({} if mark is None else {"by": mark}), **refused}]
+        return [{"file": file, **({} if mark is None else {"by": mark(file)}), **refused}]
     return None
 
 
 def _again(task: _Task) -> list[_Task]:
     """A task that lost its worker too often is done file by file."""
-    return (
-        [task]
-        if task.attempts < _ATTEMPTS
-        else [_Task([file], max(task.attempts, _ATTEMPTS)) for file in task.files]
-    )
+    if task.attempts < _ATTEMPTS:
+        return [task]
+    return [
+        _Task([file], [place], task.attempts)
+        for file, place in zip(task.files, task.places, strict=True)
+    ]
 
 
-def _read(results: Path, wanted: set[str], mark: str | None) -> dict[str, dict[str, Any]]:
-    """What an earlier run left; a line that it could not finish is cut off. BadInput for a file of
-    another kind or work.
+def answers_of(results: Path) -> Iterator[dict[str, Any]]:
+    """The results of a finished run, one after another."""
+    with results.open("rb") as lines:
+        yield from map(orjson.loads, lines)
+
+
+_BEGIN = b'{"file":'  # how a line of results begins
+
+
+class _ResultLines:
+    """The file of results: of each only the place of its line is kept in memory, for a year's would
+    fill it.
+
+    An earlier run's lines are gone on with; one that it could not finish is cut off.
     """
-    if not results.exists():
-        return {}
-    content = results.read_bytes()
-    # a run that was killed may have left half a line
-    whole = content[: content.rfind(b"\n") + 1]
-    try:
-        lines = [orjson.loads(line) for line in whole.splitlines()]
-        known = {line["file"]: line for line in lines if line["file"] in wanted}
-        marks = {line.get("by") for line in lines}
-    except (orjson.JSONDecodeError, AttributeError, KeyError, TypeError):
-        raise BadInput(
-            f"{results}: is there already and holds no results; give another name"
-        ) from None
-    if marks - {mark}:
-        raise BadInput(
-            f"{results}: holds results of another diagnoser, baseline or method; give another name"
-        )
-    if whole != content:
-        with results.open("r+b") as file:
-            file.truncate(len(whole))
-    return known
+
+    def __init__(self, path: Path, files: Sequence[str], mark: Callable[[str], str] | None) -> None:
+        self._path, self._mark = path, mark
+        # offset of each file's line [bytes], -1 where there is none
+        self._begins = np.full(len(files), -1, dtype=np.int64)
+        self.count, self.of_others, self._end = 0, 0, 0
+        if path.exists():
+            self._take_up(_places(files))
+
+    def _take_up(self, place_of: Callable[[str], int | None]) -> None:
+        with self._path.open("r+b") as lines:
+            for line in lines:
+                # a run that was killed may have left half a line
+                if not line.endswith(b"\n") and line.startswith(_BEGIN[: len(line)]):
+                    lines.truncate(self._end)
+                    break
+                place = place_of(self._file_of(line))
+                if place is not None:
+                    self._note(place, len(line))
+                else:
+                    self.of_others += 1
+                    self._end += len(line)
+        if self.of_others and not self.count:
+            raise BadInput(f"{self._path}: holds results of other records; give another name")
+
+    def _file_of(self, line: bytes) -> str:
+        try:
+            answer = orjson.loads(line)
+            file, mark = str(answer["file"]), answer.get("by")
+        except (orjson.JSONDecodeError, AttributeError, KeyError, TypeError):
+            raise BadInput(
+                f"{self._path}: is there already and holds no results; give another name"
+            ) from None
+        if mark != (self._mark and self._mark(file)):
+            raise BadInput(
+                f"{self._path}: holds results of another diagnoser, baseline or method; give"
+                " another name"
+            )
+        return file
+
+    def _note(self, place: int, length: int) -> None:
+        self.count += int(self._begins[place] < 0)
+        self._begins[place] = self._end
+        self._end += length
+
+    def missing(self) -> npt.NDArray[np.int64]:
+        """Places of the files that have no line."""
+        return np.flatnonzero(self._begins < 0)
+
+    def add(self, out: IO[bytes], places: Sequence[int], answers: Iterable[dict[str, Any]]) -> None:
+        """Write the lines of files."""
+        for place, answer in zip(places, answers, strict=True):
+            line = orjson.dumps(answer) + b"\n"
+            out.write(line)
+            self._note(place, len(line))
+        out.flush()
+
+    def put_in_order(self) -> None:
+        """The lines in order of the files, at once or not at all; those of other files go."""
+        part = self._path.with_name(f"{self._path.name}.part")
+        with self._path.open("rb") as lines, part.open("wb") as ordered:
+            for begin in self._begins.tolist():
+                lines.seek(begin)
+                ordered.write(lines.readline())
+            ordered.flush()
+            os.fsync(ordered.fileno())
+        part.replace(self._path)
 
 
-def _write_lines(file: IO[bytes], answers: Iterable[dict[str, Any]]) -> None:
-    file.writelines(orjson.dumps(answer) + b"\n" for answer in answers)
-    file.flush()
-
-
-def _write(results: Path, ordered: list[dict[str, Any]]) -> None:
-    part = results.with_name(f"{results.name}.part")
-    with part.open("wb") as file:
-        _write_lines(file, ordered)
-        os.fsync(file.fileno())
-    part.replace(results)
+def _places(files: Sequence[str]) -> Callable[[str], int | None]:
+    """Name → its place."""
+    if isinstance(files, Windows):
+        return files.place_of
+    return {file: place for place, file in enumerate(files)}.get

@@ -43,9 +43,9 @@ class RescoreOwn:
 
     source: StoredWindows
     judges: tuple[OwnJudge, ...]
+    fmus: bool = False
 
-    @property
-    def mark(self) -> str:
+    def mark(self, window: str) -> str:
         """What the results are made by: every machine's diagnoser, baseline and method."""
         # Without it a run that is resumed after a baseline was accepted would mix findings of both.
         return hashlib.sha256(f"rescore {OWN} {self.judges!r}".encode()).hexdigest()[:16]
@@ -59,20 +59,21 @@ class RescoreOwn:
                 raise BadInput(f"asset {asset!r}: has no diagnoser")
             # Loaded once a process and judge: windows of many machines come to a worker in turn.
             finding = IN_THIS_PROCESS.get(
-                (self.source, own), lambda: _judge(self.source, own)
+                (self.source, own), lambda: _judge(self.source, own, self.fmus)
             ).score(self.source.read(window))
         except BadInput as error:
-            return {"by": self.mark, "refused": str(error)}
-        return {"by": self.mark, "finding": to_plain(finding.to_json())}
+            return {"by": self.mark(window), "refused": str(error)}
+        return {"by": self.mark(window), "finding": to_plain(finding.to_json())}
 
 
-def rescore_own(source: StoredWindows) -> RescoreOwn:
+def rescore_own(source: StoredWindows, *, fmus: bool = False) -> RescoreOwn:
     """The work for a database whose schema is the newest; what judges each machine is settled now,
-    for all workers.
+    for all workers. With `fmus` those that hold one judge in processes of their own, else their
+    machines' windows are refused.
     """
     store = DiskStore(Path(source.data), source.url)
     try:
-        return RescoreOwn(source, tuple(_own(store)))
+        return RescoreOwn(source, tuple(_own(store)), fmus)
     finally:
         store.close()
 
@@ -104,12 +105,13 @@ def _baseline(store: DiskStore, asset: str) -> ModelVersion | None:
     return newest if newest.kind == BASELINE else None
 
 
-def _judge(source: StoredWindows, own: OwnJudge) -> Diagnoser:
+def _judge(source: StoredWindows, own: OwnJudge, fmus: bool) -> Diagnoser:
     kind = DIAGNOSERS[own.diagnoser or ""]
     judge = kind()
     if own.baseline is not None:
         name, number, _ = own.baseline
         database, _ = stored_in(source.url, source.data)
         with database.read() as connection:
-            judge = diagnoser_of_content(kind, models.content(connection, name, number))
+            content = models.content(connection, name, number)
+        judge = diagnoser_of_content(kind, content, fmus=fmus)
     return judge if own.method is None else judge.with_settings(method=own.method)

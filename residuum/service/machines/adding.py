@@ -349,22 +349,26 @@ ModelText = tuple[str, bytes | None]
 """A model's name and text; None for the text of a built-in one."""
 
 
-def stored_model(store: DiskStore, name: str, version: int | None = None) -> ModelText:
-    """Name and text of a built-in or stored model; NotFound, or Conflict when it is not a physical
-    one.
+def stored_model(
+    store: DiskStore, name: str, version: int | None = None, kinds: Sequence[str] = ("physical",)
+) -> ModelText:
+    """Name and text of a built-in or stored model; NotFound, or Conflict when it is of none of the
+    kinds.
     """
     if version is None and name in BUILT_IN:
         return name, None
     actual = store.model_versions(name)[0].kind
-    if actual != "physical":
+    if actual not in kinds:
         raise Conflict(f"model {name!r}: is a {actual} model; this needs a physical one")
     return name, store.model_content(name, version)
 
 
-def model_of_settings(store: DiskStore, name: str) -> ModelText:
+def model_of_settings(
+    store: DiskStore, name: str, kinds: Sequence[str] = ("physical",)
+) -> ModelText:
     """The model that a machine's settings name: built in, stored, or a file of this computer."""
     try:
-        return stored_model(store, name)
+        return stored_model(store, name, kinds=kinds)
     except NotFound:
         pass
     try:

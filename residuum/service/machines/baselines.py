@@ -5,8 +5,9 @@ from __future__ import annotations
 import hashlib
 import os
 import tempfile
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import replace
+from io import BytesIO
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -19,7 +20,13 @@ from residuum.diagnosis.diagnosers.model_based import ModelBased
 from residuum.diagnosis.finding import Finding, Verdict
 from residuum.diagnosis.thresholds.tails import HealthyBand
 from residuum.identification.errors import BadInput
-from residuum.identification.physics import estimate, match
+from residuum.identification.physics import PhysicalModel, estimate, match
+from residuum.identification.physics.fmu.permission import (
+    check_allowed,
+    fmus_allowed,
+    holds_fmu,
+    is_packed,
+)
 from residuum.identification.record import Record
 from residuum.library.answers.plain import to_plain
 from residuum.nearest_names import did_you_mean
@@ -35,6 +42,7 @@ from residuum.service.storage.disk_store import DiskStore
 from residuum.service.store import Conflict, ModelVersion, NotFound, Outcome
 from residuum.service.views.model_view import model_of
 from residuum.service.work.jobs import Progress
+from residuum.service.work.own_process import OwnProcess, ProcessEnded
 from residuum.service.work.worker_pool import RecordParts
 
 # What accepting a model for a machine would change: its diagnoser's thresholds, and the error of
@@ -185,19 +193,41 @@ def baseline_file(data: Path, content: bytes) -> str:
     """The name of the file with this content, below the data folder; written once, however many ask
     for it at once.
     """
-    folder = data / "baselines"
-    folder.mkdir(parents=True, exist_ok=True)
-    file = folder / f"{hashlib.sha256(content).hexdigest()[:24]}.zip"
+    file = _file_of(data, hashlib.sha256(content).hexdigest())
+    file.parent.mkdir(parents=True, exist_ok=True)
     if not file.exists():
         # written beside and moved: a worker that finds the name finds the whole file
-        handle, part = tempfile.mkstemp(dir=folder, suffix=".part")
+        handle, part = tempfile.mkstemp(dir=file.parent, suffix=".part")
         with os.fdopen(handle, "wb") as opened:
             opened.write(content)
         os.replace(part, file)
-    return str(file.resolve())
+    return str(file)
+
+
+def newest_baseline_file(
+    store: DiskStore, data: Path, asset: str, wanted: str | None = None
+) -> str:
+    """The file of the newest version of a machine's baseline; empty before there is one."""
+    try:
+        newest = newest_baseline(store, asset, wanted)
+    except NotFound:
+        return ""
+    file = _file_of(data, newest.checksum)
+    # its content is read once, and not for each window
+    if file.exists():
+        return str(file)
+    return baseline_file(data, store.model_content(newest.model, newest.number))
+
+
+def _file_of(data: Path, checksum: str) -> Path:
+    return (data / "baselines" / f"{checksum[:24]}.zip").resolve()
 
 
 # Training a machine's baseline from its own windows: the work of a job; nothing is stored here.
+
+
+_TRAINED_WITHIN = 3600
+"""[s] Of processor time, by an FMU."""
 
 
 def train_baseline(
@@ -208,11 +238,13 @@ def train_baseline(
     model: ModelText | None,
     settings: Mapping[str, Any],
     present: bytes | None = None,
+    fmus: bool = False,
 ) -> Mapping[str, Any]:
     """Train a diagnoser on windows of a machine and judge these same windows with it.
 
     `present` is the baseline that is at work: it is asked first whether these windows may be
-    learned from.
+    learned from. With `fmus` the code of an FMU, which is the model or judges now, runs in a
+    process of its own.
 
     Returns
     -------
@@ -226,20 +258,42 @@ def train_baseline(
         Windows that the diagnoser cannot learn from.
     """
     progress(0.05, f"training {diagnoser} on {len(windows)} windows")
+    work = (diagnoser, windows, channels, model, settings, present)
+    if not (_is_fmu(model) or (present is not None and holds_fmu(BytesIO(present)))):
+        return _trained(progress, *work)
+    with fmus_allowed(fmus):
+        check_allowed("the model" if _is_fmu(model) else "the present baseline")
+    try:
+        return OwnProcess(_TRAINED_WITHIN).call(_trained_apart, *work)
+    except ProcessEnded as ended:
+        raise BadInput(
+            f"the FMU ended the process that trained by it ({ended}); nothing was stored, and"
+            " nothing else was harmed"
+        ) from None
+
+
+def _is_fmu(model: ModelText | None) -> bool:
+    return model is not None and is_packed(model[1])
+
+
+def _trained_apart(*work: Any) -> Mapping[str, Any]:
+    return _trained(lambda _done, _doing: None, *work)
+
+
+def _trained(
+    progress: Progress,
+    diagnoser: str,
+    windows: Sequence[RecordParts],
+    channels: Mapping[str, str],
+    model: ModelText | None,
+    settings: Mapping[str, Any],
+    present: bytes | None,
+) -> Mapping[str, Any]:
     records = [named(Record(*parts), channels) for parts in windows]
     if present is not None:
         progress(0.1, "asking the present baseline whether these windows are healthy")
-        kept = diagnoser_of_content(DIAGNOSERS[diagnoser], present, fmus=True)
-        kept.refuse_learning(records)
-    # `method` is set on a diagnoser that is there, all others are given when it is made
-    deciding = {name: value for name, value in settings.items() if name == "method"}
-    own = {name: value for name, value in settings.items() if name != "method"}
-    own |= {} if model is None else {"model": model_of(*model)}
-    try:
-        untrained = DIAGNOSERS[diagnoser](**own)
-    except TypeError:
-        raise BadInput(f"diagnoser {diagnoser!r}: takes no {', '.join(own)}") from None
-    trained = untrained.with_settings(**deciding).fit(records)
+        diagnoser_of_content(DIAGNOSERS[diagnoser], present).refuse_learning(records)
+    trained = _untrained(diagnoser, model, settings).fit(records)
     progress(0.7, "judging the windows of the training")
     verdicts = [trained.score(record).verdict.value for record in records]
     return {
@@ -249,6 +303,31 @@ def train_baseline(
         "learned": to_plain(trained.learned()),
         "baseline": content_of(trained),
     }
+
+
+def _untrained(diagnoser: str, model: ModelText | None, settings: Mapping[str, Any]) -> Diagnoser:
+    """The diagnoser with a model and settings; BadInput for one that it has not."""
+    # `method` is set on a diagnoser that is there, all others are given when it is made
+    deciding = {name: value for name, value in settings.items() if name == "method"}
+    own = {name: value for name, value in settings.items() if name != "method"}
+    own |= {} if model is None else {"model": _model_to_train(*model)}
+    try:
+        untrained = DIAGNOSERS[diagnoser](**own)
+    except TypeError:
+        raise BadInput(f"diagnoser {diagnoser!r}: takes no {', '.join(own)}") from None
+    return untrained.with_settings(**deciding)
+
+
+def _model_to_train(name: str, text: bytes | None) -> PhysicalModel:
+    """The model of this text, or the stored FMU, whose library is loaded."""
+    if text is None or not is_packed(text):
+        return model_of(name, text)
+    # loads what compiles, for FMUs alone
+    from residuum.identification.physics.fmu.watched_model import (  # noqa: PLC0415
+        watched_content,
+    )
+
+    return watched_content(text, name)
 
 
 # Which of a diagnoser's methods decides for a machine: chosen while the service runs, and kept.
@@ -465,9 +544,29 @@ def training_windows(
     """
     if judged:
         return healthy_windows(store, asset), 0
-    records, holes = [], 0
     chosen = (window for window in store.recorded_windows(asset, MOST) if window not in leave_out)
-    for _, record in kept_windows(store, asset, chosen):
+    kept = (record for _, record in kept_windows(store, asset, chosen))
+    return _enough(kept, channels, used, f"asset {asset!r}: {{}} windows are recorded")
+
+
+def uploaded_windows(
+    store: DiskStore, records: Sequence[int], channels: Mapping[str, str], used: Collection[str]
+) -> tuple[list[Record], int]:
+    """Uploaded records as a machine's windows, in this order, and how many were passed over for a
+    hole; NotFound for one that there is not, Conflict when there are too few.
+    """
+    uploaded = (store.record_samples(number) for number in records)
+    return _enough(uploaded, channels, used, "body, records: {} are given")
+
+
+def _enough(
+    windows: Iterable[Record], channels: Mapping[str, str], used: Collection[str], counted: str
+) -> tuple[list[Record], int]:
+    """Those without a hole in a signal that is used, and how many have one; `counted` tells how
+    many there are where these are too few.
+    """
+    records, holes = [], 0
+    for record in windows:
         if holed(named(record, channels), used):
             holes += 1
         else:
@@ -475,7 +574,7 @@ def training_windows(
     if len(records) < FEWEST_NEW_WINDOWS:
         lacking = f"; {holes} more have holes, {REMEDY}" if holes else ""
         needed = f"at least {FEWEST_NEW_WINDOWS} are needed, 20 are good"
-        raise Conflict(f"asset {asset!r}: {len(records)} windows are recorded; {needed}{lacking}")
+        raise Conflict(f"{counted.format(len(records))}; {needed}{lacking}")
     return records, holes
 
 

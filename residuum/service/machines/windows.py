@@ -11,6 +11,7 @@ import numpy.typing as npt
 
 from residuum.diagnosis.vibration.rotation import ClockAlignment, align_clocks, on_clock_of
 from residuum.identification.errors import BadInput, BadRecord
+from residuum.identification.physics.fmu.permission import is_packed
 from residuum.identification.record import Record
 from residuum.service.fieldbus.settings import WindowSettings
 from residuum.service.fieldbus.source import Block, Samples, StreamFormat
@@ -84,7 +85,17 @@ def holed(record: Record, used: Collection[str]) -> bool:
 
 def used_by(model: ModelText | None) -> Collection[str]:
     """The signals that a model uses, by its names; none without a model."""
-    return () if model is None else model_signals(model_of(*model))
+    if model is None:
+        return ()
+    name, text = model
+    if is_packed(text):
+        # loads what compiles, for FMUs alone
+        from residuum.identification.physics.fmu.watched_model import (  # noqa: PLC0415
+            signals_of,
+        )
+
+        return signals_of(text)
+    return model_signals(model_of(name, text))
 
 
 # StreamBuffer: the newest samples of one stream, each at its number; what never came is NaN.

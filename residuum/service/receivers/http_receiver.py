@@ -6,7 +6,8 @@ import http.client
 import socket
 import urllib.request
 from abc import abstractmethod
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from email.message import Message
 from pathlib import Path
 from typing import Annotated, Any
 from urllib.error import HTTPError
@@ -25,10 +26,22 @@ from residuum.service.receivers.receiver_settings import (
 )
 from residuum.service.secret_texts import secret_of, without
 
-# Statuses of 400 to 499 that ask for patience, and refuse nothing: timeout, too early, too many.
-_LATER = (408, 425, 429)
+LATER = (408, 425, 429)
+"""Statuses of 400 to 499 that ask for patience, and refuse nothing: timeout, too early, too many."""
+PROBLEM = "application/problem+json"
+"""Content type of a refusal by RFC 9457."""
 # Characters of an answer that a refusal tells, and bytes of one that are read.
 _TOLD, _READ = 200, 2**20
+
+
+class NoReceipt(ConnectionError):
+    """An answer that is no receipt now, and may be one later; `status` is its own, None where there
+    was no answer.
+    """
+
+    def __init__(self, reason: str, status: int | None = None) -> None:
+        super().__init__(reason)
+        self.status = status
 
 
 class _NoDetour(urllib.request.HTTPRedirectHandler):
@@ -128,12 +141,14 @@ class HttpReceiver(ReceiverSettings):
         """What posts bodies to the address; `told` are secrets of its own that an answer may repeat."""
         url = self._url()
         parts = urlsplit(url)
-        handlers: list[Any] = [_NoDetour, urllib.request.HTTPCookieProcessor]
-        if parts.scheme == "https" and self.ca is not None:
-            handlers.append(urllib.request.HTTPSHandler(context=BrokerTls(ca=self.ca).context()))
         # what an answer may repeat of the address
         secrets = (url, parts.path if len(parts.path) > 1 else None, parts.query, *told)
-        return Poster(url, urllib.request.build_opener(*handlers), secrets)
+        return Poster(url, self.ca, secrets)
+
+
+def _for_good(status: int, _head: Message) -> bool:
+    """Whether an answer says that the request itself is wrong."""
+    return 400 <= status < 500 and status not in LATER
 
 
 class Poster:
@@ -142,21 +157,35 @@ class Poster:
     Parameters
     ----------
     url : str
-    opener : urllib's
+    ca : Path or None
+        PEM file of the authority that signed its certificate; None: those of the system.
     secrets : of str or None
         What no reason may tell.
+    patience : float
+        Seconds for an answer.
+    for_good : callable
+        Whether an answer's status and head refuse the request for good.
     """
 
     def __init__(
-        self, url: str, opener: urllib.request.OpenerDirector, secrets: tuple[str | None, ...]
+        self,
+        url: str,
+        ca: Path | None,
+        secrets: tuple[str | None, ...],
+        patience: float = PATIENCE,
+        for_good: Callable[[int, Message], bool] = _for_good,
     ) -> None:
         self.url = url
-        self._opener, self._secrets = opener, secrets
+        self._secrets, self._patience, self._for_good = secrets, patience, for_good
+        handlers: list[Any] = [_NoDetour, urllib.request.HTTPCookieProcessor]
+        if url.startswith("https:") and ca is not None:
+            handlers.append(urllib.request.HTTPSHandler(context=BrokerTls(ca=ca).context()))
+        self._opener = urllib.request.build_opener(*handlers)
 
     def __call__(self, body: Any, headers: Mapping[str, str]) -> bytes:
         """Post a body, JSON of a value unless it is bytes; any 2xx answer is a receipt.
 
-        Raises Refused for a status that says that the request itself is wrong, OSError for every
+        Raises Refused for a status that says that the request itself is wrong, NoReceipt for every
         other that is no receipt.
         """
         if not isinstance(body, bytes):
@@ -173,17 +202,18 @@ class Poster:
         try:
             # the scheme was compared when the settings were read
             request = urllib.request.Request(url or self.url, body, told)
-            with self._opener.open(request, timeout=PATIENCE) as answer:
+            with self._opener.open(request, timeout=self._patience) as answer:
                 return answer.read(_READ), answer.headers
         except HTTPError as error:
             with error:
                 says = without(_text(error), *self._secrets)[:_TOLD]
             reason = f"status {error.code}" + (f": {says}" if says else "")
-            if 400 <= error.code < 500 and error.code not in _LATER:
+            if self._for_good(error.code, error.headers):
                 raise Refused(reason) from None  # it will not like it better the next time
-            raise ConnectionError(reason) from None
+            raise NoReceipt(reason, error.code) from None
         except (http.client.HTTPException, OSError) as error:
-            raise ConnectionError(without(str(error), *self._secrets)) from None
+            reason = str(getattr(error, "reason", error))
+            raise NoReceipt(without(reason, *self._secrets)) from None
 
 
 def csrf_token(post: Poster, head: Mapping[str, str]) -> dict[str, str]:
@@ -198,7 +228,10 @@ def csrf_token(post: Poster, head: Mapping[str, str]) -> dict[str, str]:
 
 
 def _text(error: HTTPError) -> str:
+    """What an answer says: of a problem document (RFC 9457) its one line for people."""
     try:
+        if error.headers.get_content_type() == PROBLEM:
+            return str(orjson.loads(error.read(_READ))["detail"])
         return error.read(4 * _TOLD).decode("utf-8", "replace")
-    except (http.client.HTTPException, OSError):
+    except (http.client.HTTPException, OSError, ValueError, LookupError, TypeError):
         return ""

@@ -6,9 +6,12 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
+from fnmatch import fnmatchcase
 from typing import Any
 
 from pydantic import BaseModel, ConfigDict, Field
+
+from residuum.service.alarms.alarm_states import Priority
 
 PATIENCE = 5.0
 """Seconds for a receiver's answer."""
@@ -38,6 +41,24 @@ class ReceiverSettings(BaseModel, ABC):
         pattern=r"^[^\x00-\x1f\x7f]*$",
         description="What log and health call it; empty: its kind and host.",
     )
+
+    machines: tuple[str, ...] = Field(
+        (),
+        max_length=1000,
+        description="Machines whose alarms it is told, as press-1 or hall-1.*; empty: all.",
+    )
+    priorities: tuple[Priority, ...] = Field(
+        (), description="Priorities of which it is told alarms; empty: all, and those of none."
+    )
+
+    def wants(self, alarm: Mapping[str, Any]) -> bool:
+        """Whether it is told an alarm or a flood; a flood is of the whole plant, and told to all."""
+        if "asset" not in alarm:
+            return True
+        of_machines = any(fnmatchcase(alarm["asset"], name) for name in self.machines)
+        return (of_machines or not self.machines) and (
+            alarm.get("priority") in self.priorities or not self.priorities
+        )
 
     @property
     def called(self) -> str:

@@ -245,7 +245,9 @@ def _table(head: Sequence[str], rows: Iterable[Sequence[str]], numbers: Iterable
 
     body = "".join(f"<tr>{cells(row, 'td')}</tr>" for row in rows)
     table = f"<table><thead><tr>{cells(head, 'th')}</tr></thead><tbody>{body}</tbody></table>"
-    return f'<div class="scroll">{table}</div>'
+    # who has no pointer scrolls by the keyboard, for which the part has to be reached
+    name = escape(", ".join(head))
+    return f'<div class="scroll" tabindex="0" role="group" aria-label="{name}">{table}</div>'
 
 
 def _moment(at: datetime) -> str:

@@ -28,3 +28,16 @@ def sync_folder(folder: Path) -> None:
         os.fsync(descriptor)
     finally:
         os.close(descriptor)
+
+
+def keep_file(file: Path, content: bytes) -> None:
+    """Write a file in a folder that is there, and return when it is on disk: a file of this name is
+    whole, also after a power cut. What is left of one that was not finished ends with `.part`.
+    """
+    part = file.with_name(f"{file.name}.part")
+    with part.open("wb") as opened:
+        opened.write(content)
+        opened.flush()
+        os.fsync(opened.fileno())
+    part.replace(file)
+    sync_folder(file.parent)

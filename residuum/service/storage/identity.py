@@ -8,7 +8,6 @@ refuses to start on either.
 
 from __future__ import annotations
 
-import os
 import secrets
 from pathlib import Path
 
@@ -16,7 +15,7 @@ from sqlalchemy import delete, insert, select
 
 from residuum.identification.errors import BadInput
 from residuum.service.storage.database import Database
-from residuum.service.storage.durable_folder import make_folder, sync_folder
+from residuum.service.storage.durable_folder import keep_file, make_folder
 from residuum.service.storage.rows import block_rows
 from residuum.service.storage.tables import identity
 
@@ -102,12 +101,5 @@ def _of_folder(folder: Path) -> str | None:
 def _write(file: Path, text: str) -> None:
     """Write a small file that is whole on disk, or not there."""
     make_folder(file.parent)
-    # Renamed when it is on disk: half an identity would be that of another folder, and the next
-    # start would be refused.
-    part = file.with_name(f"{file.name}.part")
-    with open(part, "w", encoding="ascii") as opened:
-        opened.write(f"{text}\n")
-        opened.flush()
-        os.fsync(opened.fileno())
-    os.replace(part, file)
-    sync_folder(file.parent)
+    # Half an identity would be that of another folder, and the next start would be refused.
+    keep_file(file, f"{text}\n".encode("ascii"))

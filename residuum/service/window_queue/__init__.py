@@ -1,17 +1,10 @@
-"""Windows that travel: gateways cut them beside the machines, an MQTT broker carries them, scorers
-judge and store them.
+"""Windows that travel: a gateway cuts them beside the machines and sends them to a service, which
+judges and stores them.
 
-A gateway keeps a window on its disk until a scorer has said that it is stored, so neither the
-broker nor a scorer has to keep anything: whatever is killed, the window is sent again, and its key
-lets it be stored once.
+A gateway keeps a window on its disk until the service has answered that it is stored: whatever is
+killed or cut off, the window is sent again under its own `Idempotency-Key`, and is stored once. A
+machine's windows are sent one after the other, in their order. What the service refuses for good is
+set aside with its reason.
 
-    gateway → PREFIX/windows/PARTITION/GATEWAY/KEY → scorer → database
-    scorer  → PREFIX/receipts/GATEWAY              → gateway
-    scorer  → PREFIX/stored                        → service
-
-A service is told no more than the name of a stored window and reads the finding from the store, so
-that its live stream shows what scorers found.
-
-A machine is always of the same one of `PARTITIONS`, and a partition of one scorer: its windows are
-judged in their order.
+    spool → POST /api/v1/assets/ASSET/windows → database → 201 → out of the spool
 """

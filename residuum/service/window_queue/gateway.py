@@ -1,202 +1,242 @@
-"""Gateway: sends the windows of its spool until a scorer has said that they are stored."""
+"""Gateway: sends the windows of its spool until the service has said that they are stored."""
 
 from __future__ import annotations
 
-import os
+import io
 import threading
-import time
-import uuid
-from dataclasses import dataclass, field
-from itertools import islice
+import zipfile
+from collections.abc import Callable
+from email.message import Message
+from functools import partial
 from pathlib import Path
-from typing import Any
+from urllib.parse import urlencode
 
-import orjson
 import structlog
 
 from residuum.diagnosis.finding import Finding
 from residuum.identification.errors import BadInput
 from residuum.identification.record import Record
-from residuum.service.broker import BrokerAddress
+from residuum.identification.record_formats.npz import write_npz
 from residuum.service.fieldbus.settings import MachineSettings
-from residuum.service.storage.durable_folder import make_folder, sync_folder
-from residuum.service.window_queue.window_message import (
-    Listener,
-    WindowMessage,
-    broker_client,
-    receipt_topic,
-    window_topic,
-)
-from residuum.service.work.worker_pool import PlainRecord
-
-# Spool: a gateway's windows on its disk, until each of them is known to be stored elsewhere.
-
-_ENDING = ".window"
-
-
-class Spool:
-    """Files in a folder, in the order in which they came; safe to use from any thread.
-
-    A message is on disk when `put` returns. What was there at a crash is there at the next start,
-    under the same keys.
-
-    Parameters
-    ----------
-    folder : Path
-    most_bytes : int
-        When more would be kept, the oldest go, and are counted in `dropped`.
-    """
-
-    def __init__(self, folder: Path, most_bytes: int) -> None:
-        make_folder(folder)
-        self._folder, self._most = folder, most_bytes
-        self._lock = threading.Lock()
-        # a message that was not whole at a crash was never acknowledged to who put it
-        for unfinished in folder.glob("*.part"):
-            unfinished.unlink()
-        files = sorted(folder.glob(f"*{_ENDING}"))
-        self._files: dict[str, Path] = {}
-        self._machine_of: dict[str, str] = {}
-        self._keys_of: dict[str, dict[str, None]] = {}
-        for file in files:
-            _, *name_parts = file.name.removesuffix(_ENDING).split("-", maxsplit=2)
-            if len(name_parts) != 2:
-                raise BadInput(
-                    f"{file}: its name does not say of which machine it is; move it out of the"
-                    " spool"
-                )
-            self._list(name_parts[0], name_parts[1], file)
-        self._sizes = {key: file.stat().st_size for key, file in self._files.items()}
-        self._bytes = sum(self._sizes.values())
-        self._next = int(files[-1].name.split("-", maxsplit=1)[0]) + 1 if files else 0
-        self.dropped = 0
-
-    def __len__(self) -> int:
-        with self._lock:
-            return len(self._files)
-
-    def put(self, payload: bytes, machine: str) -> str:
-        """Keep a message of a machine; returns its key once it is on disk. OSError when it cannot
-        be written.
-        """
-        key = uuid.uuid4().hex
-        with self._lock:
-            file = self._folder / f"{self._next:012d}-{key}-{machine}{_ENDING}"
-            self._next += 1
-            # written beside, synced and moved: a file of this name is whole, also after a power cut
-            part = self._folder / f"{key}.part"
-            with part.open("wb") as opened:
-                opened.write(payload)
-                opened.flush()
-                os.fsync(opened.fileno())
-            part.replace(file)
-            sync_folder(self._folder)
-            self._list(key, machine, file)
-            self._sizes[key] = len(payload)
-            self._bytes += len(payload)
-            # never the last one: a single window larger than the spool is sent all the same
-            while self._bytes > self._most and len(self._files) > 1:
-                self._forget(next(iter(self._files)))
-                self.dropped += 1
-        return key
-
-    def oldest(self, count: int) -> dict[str, list[str]]:
-        """Keys of the first messages of each machine, in order."""
-        with self._lock:
-            return {machine: list(islice(keys, count)) for machine, keys in self._keys_of.items()}
-
-    def read(self, key: str) -> bytes | None:
-        """A message; None when it is gone."""
-        with self._lock:
-            file = self._files.get(key)
-            return None if file is None else file.read_bytes()
-
-    def remove(self, key: str) -> bool:
-        """Let a message go; False when it had gone before."""
-        with self._lock:
-            if key not in self._files:
-                return False
-            self._forget(key)
-            return True
-
-    def _list(self, key: str, machine: str, file: Path) -> None:
-        self._files[key], self._machine_of[key] = file, machine
-        self._keys_of.setdefault(machine, {})[key] = None
-
-    def _forget(self, key: str) -> None:
-        self._files.pop(key).unlink(missing_ok=True)
-        keys = self._keys_of[machine := self._machine_of.pop(key)]
-        del keys[key]
-        if not keys:
-            del self._keys_of[machine]
-        self._bytes -= self._sizes.pop(key)
-
+from residuum.service.receivers.delivery import Delivery, Words
+from residuum.service.receivers.http_receiver import LATER, PROBLEM, NoReceipt, Poster
+from residuum.service.receivers.receiver_settings import Refused
+from residuum.service.secret_texts import first_line
+from residuum.service.window_queue.set_aside import SetAside
+from residuum.service.window_queue.spool import Spool
 
 log = structlog.get_logger()
 
-# Windows of a machine that are under way at once; what those of one machine wait for holds up no
-# other.
-_AHEAD = 8
-# Seconds without a receipt for a machine after which its windows are sent again; doubled each time,
-# up to the second.
-_RESEND_AFTER, _LONGEST_RESEND = 15.0, 240.0
-# [s] Between looks at what is due, where nothing happens.
-_LOOK = 0.5
+# [s] For an answer: the service judges before it answers. A window that takes it longer is stored
+# all the same, and known when it is sent again.
+_PATIENCE = 60.0
+# Statuses that are not about the window: who sends it is not let in, and may be later.
+_NOT_LET_IN = (401, 403)
+_TOO_LARGE = 413
+_FAULT = 500
+# Where a stored window is, in the answer's head.
+_STORED = "/windows/"
+# Times that a fault of the service is answered to one window; then it is set aside.
+_MOST_FAULTS = 5
 # [s] Between two tries to write a window to the spool.
 _RETRY = 2.0
+# [s] How long it takes at most to notice that a machine's sender is to end.
+_LOOK = 1.0
+# [s] For the window that is being sent when it ends.
+_LAST_WINDOW = 4.0
+_WORDS = Words("the service", "window", "set aside")
 
 
-@dataclass
-class _Machine:
-    """What is under way of one machine's windows; `progress` is when the last was sent or known to
-    be stored.
+def request_of(machine: MachineSettings, window: Record) -> bytes:
+    """A window as it is sent and kept: a line with what is asked, and the window as NPZ.
+
+    All of it is kept, for a window that is sent again must be the same request.
     """
+    asked = {
+        "diagnoser": machine.diagnoser,
+        "baseline": machine.baseline,
+        "method": machine.method,
+        "unattended": "true",
+    }
+    query = urlencode({name: value for name, value in asked.items() if value is not None})
+    body = io.BytesIO()
+    write_npz(window, body, zipfile.ZIP_STORED)
+    return f"/api/v1/assets/{machine.asset}/windows?{query}\n".encode() + body.getvalue()
 
-    patience: float
-    under_way: dict[str, None] = field(default_factory=dict)
-    heard: bool = False
-    progress: float = 0.0
+
+def window_of(request: bytes) -> bytes:
+    """The window of a request, as NPZ."""
+    return request.partition(b"\n")[2]
 
 
-class Gateway:
-    """The sending side of the window queue.
+def _for_good(status: int, head: Message) -> bool:
+    """Whether the service refuses a window itself: in words of its own, or as too large."""
+    if not 400 <= status < 500 or status in (*LATER, *_NOT_LET_IN):
+        return False
+    return status == _TOO_LARGE or head.get_content_type() == PROBLEM
 
-    The windows of a machine come to its scorer in their order. Before the scorer has ever
-    subscribed, a broker forgets what it is sent; so after each connecting a machine's first window
-    goes alone, and the others once its receipt has come.
+
+class Sending:
+    """How windows are sent to a service.
 
     Parameters
     ----------
+    url : str
+        Its address.
+    key_file : Path or None
+        File whose first line is the API key; read anew for each window, so that it can be changed.
+    ca : Path or None
+        PEM file of the authority that signed the service's certificate; None: those of the system.
     name : str
-        Of this gateway, unlike that of any other: receipts come under it.
-    spool : Spool
-    address : BrokerAddress
-    resend_after : float
-        See `_RESEND_AFTER` [s].
+        Of this gateway, for logs of proxies.
+    patience : float
+        Seconds for an answer.
     """
 
     def __init__(
-        self, name: str, spool: Spool, address: BrokerAddress, resend_after: float = _RESEND_AFTER
+        self,
+        url: str,
+        key_file: Path | None = None,
+        ca: Path | None = None,
+        name: str = "",
+        patience: float = _PATIENCE,
     ) -> None:
-        self.name, self.spool = name, spool
-        self._address, self._resend_after = address, resend_after
-        self.sent = self.stored = self.refused = 0
-        self._counting = threading.Lock()
-        self._moved, self._connected = threading.Event(), threading.Event()
-        self._stopped = threading.Event()
-        self._answered: set[str] = set()
-        self._thread = threading.Thread(target=self._send_all, name=f"gateway {name}", daemon=True)
+        self.url, self._key_file = url.rstrip("/"), key_file
+        self._poster = Poster(self.url, ca, (), patience, _for_good)
+        self._head = {"User-Agent": f"residuum-gateway/{name}" if name else "residuum-gateway"}
+        self._key()
+
+    def send(self, key: str, request: bytes) -> None:
+        """Return when the service has it on disk; Refused when it never will, NoReceipt when it has
+        to be sent again.
+        """
+        asked, _, body = request.partition(b"\n")
+        head = {"Content-Type": "application/zip", "Idempotency-Key": key}
+        head |= {**self._head, **self._key()}
+        _, answer = self._poster.ask(body, head, self.url + asked.decode())
+        # a proxy that asks for a password, or says that it is busy, may do so with status 200
+        if _STORED not in answer.get("Location", ""):
+            raise NoReceipt("what answers does not say where it stored the window: is no Residuum")
+
+    def try_service(self) -> str:
+        """How the service was reached, in words; OSError or Refused where it does not let us in."""
+        self._poster.ask(None, {**self._head, **self._key()}, f"{self.url}/api/v1/assets?limit=1")
+        return f"{self.url} lets us in"
+
+    def _key(self) -> dict[str, str]:
+        if self._key_file is None:
+            return {}
+        key = first_line(self._key_file, "service_key_file")
+        if not (key.isascii() and key.isprintable()):
+            raise BadInput(
+                f"service_key_file {self._key_file}: is no API key, which has letters, digits and"
+                " signs of ASCII alone; `residuum keys` makes one"
+            )
+        return {"X-API-Key": key}
+
+
+class _Sender(Delivery):
+    """Sends the windows of one machine, in their order: what waits for one machine's holds up no
+    other's.
+    """
+
+    def __init__(self, machine: str, spool: Spool, aside: SetAside, sending: Sending) -> None:
+        super().__init__(machine, log.bind(machine=machine), _WORDS)
+        self._spool, self._aside, self._sending = spool, aside, sending
+        self._came = threading.Event()
+        self._faults = 0
+        self._thread = threading.Thread(target=self._send_all, name=f"send {machine}", daemon=True)
+        self._thread.start()
+
+    def look(self) -> None:
+        """A window may wait."""
+        self._came.set()
+
+    def stop(self) -> None:
+        """Send no other; `join` waits for the one that is being sent."""
+        self.stopped.set()
+        self._came.set()
+
+    def join(self) -> None:
+        """Wait for its end, for a while."""
+        self._thread.join(_LAST_WINDOW)
+
+    def _send_all(self) -> None:
+        while not self.stopped.is_set():
+            self._came.clear()
+            try:
+                self._send_oldest()
+            except Exception as error:
+                # whatever it is, the machine's windows are not given up
+                self._log.exception("window not sent, trying again", reason=str(error))
+                self.pause()
+
+    def _send_oldest(self) -> None:
+        key = self._spool.oldest(self.name)
+        if key is None:
+            self._came.wait(_LOOK)
+        elif self.attempt(partial(self._send, key)):
+            self._spool.remove(key)
+
+    def _send(self, key: str) -> None:
+        request = self._spool.read(key)
+        if request is None:
+            return
+        try:
+            self._answered(key, request)
+        except Refused as refused:
+            # on disk there before it leaves the spool
+            self._aside.put(key, self.name, request, str(refused))
+            raise
+        self._faults = 0
+
+    def _answered(self, key: str, request: bytes) -> None:
+        try:
+            self._sending.send(key, request)
+        except NoReceipt as error:
+            self._faults = self._faults + 1 if error.status == _FAULT else 0
+            if self._faults < _MOST_FAULTS:
+                raise
+            self._faults = 0
+            raise Refused(f"{_MOST_FAULTS} times, {error}") from None
+        except BadInput as error:  # the file of the key cannot be read now
+            raise NoReceipt(str(error)) from None
+
+
+class Gateway:
+    """The sending side: every machine's windows, kept and sent.
+
+    Parameters
+    ----------
+    spool : Spool
+    aside : SetAside
+        Gets what the service refuses for good.
+    sending : Sending
+    """
+
+    def __init__(self, spool: Spool, aside: SetAside, sending: Sending) -> None:
+        self.spool = spool
+        self._make: Callable[[str], _Sender] = partial(
+            _Sender, spool=spool, aside=aside, sending=sending
+        )
+        self._senders: dict[str, _Sender] = {}
+        self._started, self._lock = False, threading.Lock()
 
     def start(self) -> None:
-        """Begin to send."""
-        self._thread.start()
+        """Begin to send, with what an earlier run has left."""
+        self._started = True
+        for machine in self.spool.machines():
+            self._look(machine)
 
     def stop(self) -> None:
         """End; what is not known to be stored stays in the spool."""
-        self._stopped.set()
-        self._moved.set()
-        if self._thread.ident is not None:
-            self._thread.join(5.0)
+        with self._lock:
+            self._started = False
+        # all are asked first: they end side by side
+        for sender in self._senders.values():
+            sender.stop()
+        for sender in self._senders.values():
+            sender.join()
 
     def handle(
         self,
@@ -208,18 +248,11 @@ class Gateway:
         """Keep a window of a machine in the spool (what a `MachineLine` does with it); there is no
         finding yet.
         """
-        message = WindowMessage(
-            machine.asset,
-            machine.diagnoser,
-            machine.baseline or machine.asset,
-            PlainRecord.of(window),
-            machine.method,
-        )
-        payload = message.pack()
+        request = request_of(machine, window)
         while True:
             try:
-                self.spool.put(payload, machine.asset)
-                self._moved.set()
+                self.spool.put(request, machine.asset)
+                self._look(machine.asset)
                 return None
             except OSError as error:
                 log.error(
@@ -230,86 +263,23 @@ class Gateway:
 
     def status(self) -> dict[str, int]:
         """What became of the windows so far: one that is gone from the spool is counted."""
-        with self._counting:
-            numbers = {"sent": self.sent, "stored": self.stored, "refused": self.refused}
-            return {**numbers, "waiting": len(self.spool), "dropped": self.spool.dropped}
+        senders = list(self._senders.values())
+        return {
+            "stored": sum(sender.sent for sender in senders),
+            "refused": sum(sender.dropped for sender in senders),
+            "waiting": len(self.spool),
+            "dropped": self.spool.dropped,
+        }
 
-    def _send_all(self) -> None:
-        receipts = [receipt_topic(self._address.prefix, self.name)]
-        client = broker_client(
-            self._address,
-            f"residuum-gateway-{self.name}",
-            receipts,
-            Listener(self._take_receipt, self._connected.set),
-            # what is not known to be stored is sent again: no receipt has to be kept
-            persistent=False,
-        )
-        machines: dict[str, _Machine] = {}
-        try:
-            while not self._stopped.is_set():
-                self._moved.wait(_LOOK)
-                self._moved.clear()
-                # of a new connection nobody knows what came over the old one: all is sent again
-                if self._connected.is_set():
-                    self._connected.clear()
-                    machines.clear()
-                    self._answered.clear()
-                if client.is_connected():
-                    self._send_what_is_due(client, machines)
-        finally:
-            client.disconnect()
-            client.loop_stop()
+    def troubles(self) -> dict[str, str]:
+        """Machine → what the last attempt to send a window of it failed by."""
+        senders = list(self._senders.values())
+        return {s.name: s.trouble for s in senders if s.trouble is not None}
 
-    def _send_what_is_due(self, client: Any, machines: dict[str, _Machine]) -> None:
-        waiting = self.spool.oldest(_AHEAD)
-        for asset in waiting.keys() | machines.keys():
-            machine, keys = (
-                machines.setdefault(asset, _Machine(self._resend_after)),
-                waiting.get(asset, []),
-            )
-            self._follow(machine, keys)
-            for key in keys if machine.heard else keys[:1]:
-                if key not in machine.under_way:
-                    self._send(client, asset, key)
-                    machine.under_way[key] = None
-                    machine.progress = time.monotonic()
-
-    def _follow(self, machine: _Machine, waiting: list[str]) -> None:
-        """Note what has been stored since, or send all again when that takes too long."""
-        settled = [key for key in machine.under_way if key not in waiting]
-        if settled:
-            machine.heard |= not self._answered.isdisjoint(settled)  # else the spool let them go
-            machine.patience, machine.progress = self._resend_after, time.monotonic()
-            self._answered.difference_update(settled)
-            machine.under_way = {key: None for key in machine.under_way if key in waiting}
-        elif machine.under_way and time.monotonic() - machine.progress > machine.patience:
-            machine.patience = min(2 * machine.patience, _LONGEST_RESEND)
-            machine.under_way.clear()
-
-    def _send(self, client: Any, asset: str, key: str) -> None:
-        payload = self.spool.read(key)
-        if payload is not None:
-            client.publish(
-                window_topic(self._address.prefix, asset, self.name, key), payload, qos=1
-            )
-            self.sent += 1
-
-    def _take_receipt(self, client: Any, message: Any) -> None:
-        try:
-            receipt = orjson.loads(message.payload)
-            key, refused = str(receipt["key"]), receipt["refused"]
-        except (orjson.JSONDecodeError, KeyError, TypeError):
-            log.warning("not a receipt", topic=message.topic)
-            key, refused = "", None
-        with self._counting:
-            # noted before the spool lets it go: `_follow` asks which of the gone ones were answered
-            self._answered.add(key)
-            known = self.spool.remove(key)
-            if not known:
-                self._answered.discard(key)
-            self.stored += known and refused is None
-            self.refused += known and refused is not None
-        if known and refused is not None:
-            log.error("a window was refused", reason=str(refused)[:300])
-        client.ack(message.mid, message.qos)
-        self._moved.set()
+    def _look(self, machine: str) -> None:
+        with self._lock:
+            if not self._started:
+                return
+            if machine not in self._senders:
+                self._senders[machine] = self._make(machine)
+        self._senders[machine].look()

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import os
 import resource
+import select
 import signal
 import socket
 import subprocess
@@ -24,8 +25,8 @@ from residuum.identification.errors import BadInput
 from residuum.identification.physics.fmu.permission import fmus_allowed
 
 T = TypeVar("T")
-# [s] Of processor time for one piece of work: code that never returns would hold whoever waits.
 _MOST_SECONDS = 600
+"""[s] Of processor time for one piece of work: code that never returns would hold whoever waits."""
 _STANDARD_ERROR = 2
 _DONE, _REFUSED, _FAILED = "done", "refused", "failed"
 
@@ -36,10 +37,16 @@ class ProcessEnded(Exception):
 
 class OwnProcess:
     """A process that does one piece of work after the other. It is begun when it is first asked,
-    and anew after it has ended.
+    and anew after it has ended; it ends with this one.
+
+    Parameters
+    ----------
+    seconds : int
+        Of processor time for one piece of work.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, seconds: int = _MOST_SECONDS) -> None:
+        self._seconds = seconds
         self._lock = threading.Lock()
         self._process: subprocess.Popen[bytes] | None = None
         self._channel: Connection[Any, Any] | None = None
@@ -71,7 +78,7 @@ class OwnProcess:
     def _begun(self) -> Connection[Any, Any]:
         ours, theirs = socket.socketpair()
         self._process = subprocess.Popen(
-            [sys.executable, "-P", "-m", __name__, str(theirs.fileno())],
+            [sys.executable, "-P", "-m", __name__, str(theirs.fileno()), str(self._seconds)],
             pass_fds=[theirs.fileno()],
             stdin=subprocess.DEVNULL,
             stdout=_STANDARD_ERROR,  # what a library prints is no answer of ours
@@ -89,7 +96,7 @@ class OwnProcess:
         self._channel = None
         status = self._process.wait()
         if status == -signal.SIGXCPU:
-            return f"it took more than {_MOST_SECONDS} s of processor time"
+            return f"it took more than {self._seconds} s of processor time"
         return signal.Signals(-status).name if status < 0 else f"exit status {status}"
 
 
@@ -99,16 +106,25 @@ def _end(process: subprocess.Popen[bytes], channel: Connection[Any, Any]) -> Non
     process.wait()
 
 
-def main(number: int) -> None:
+def main(number: int, seconds: int) -> None:
     """Do what comes through the channel with this number, until its other end is closed."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the service decides when it ends
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+    threading.Thread(target=_end_with_the_other, args=(number,), daemon=True).start()
     channel: Connection[Any, Any] = Connection(number)
     with fmus_allowed(), suppress(EOFError, OSError):
         while True:
             work, arguments = channel.recv()
-            _limit_time()
+            _limit_time(seconds)
             channel.send(_answer(work, arguments))
+
+
+def _end_with_the_other(number: int) -> None:
+    """End in the middle of work whose answer nobody waits for any more: who asked was ended."""
+    closed = select.poll()
+    closed.register(number, 0)  # a closed end is told whatever is asked for
+    closed.poll()
+    os._exit(1)
 
 
 def _answer(work: Callable[..., Any], arguments: tuple[Any, ...]) -> tuple[str, Any]:
@@ -120,13 +136,13 @@ def _answer(work: Callable[..., Any], arguments: tuple[Any, ...]) -> tuple[str, 
         return _FAILED, f"{type(error).__name__}: {error}"
 
 
-def _limit_time() -> None:
+def _limit_time(seconds: int) -> None:
     """So much processor time more than was used by now."""
     used = resource.getrusage(resource.RUSAGE_SELF)
-    most = int(used.ru_utime + used.ru_stime) + _MOST_SECONDS
+    most = int(used.ru_utime + used.ru_stime) + seconds
     resource.setrlimit(resource.RLIMIT_CPU, (most, resource.RLIM_INFINITY))
 
 
 if __name__ == "__main__":
     os.set_inheritable(int(sys.argv[1]), False)
-    main(int(sys.argv[1]))
+    main(*map(int, sys.argv[1:]))

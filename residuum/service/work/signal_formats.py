@@ -12,6 +12,7 @@ import tempfile
 import zipfile
 import zlib
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import IO, Any
 
@@ -108,7 +109,8 @@ def from_npz(body: bytes, unpacked: int) -> Record:
         file = Path(folder) / "body.npz"
         file.write_bytes(body)
         try:
-            return read_record(file)
+            # the file is of this moment, and its name says nothing
+            return replace(read_record(file), source="http")
         except BadRecord as error:
             error.what = error.what.replace(str(file), "body")
             raise

@@ -133,6 +133,11 @@ class WorkerPool(Executor):
         self._server_ready = _begin_server()
         self.replaced = 0
 
+    @property
+    def closed(self) -> bool:
+        """Whether it takes no more work."""
+        return self._closed
+
     def _new_pool(self) -> ProcessPoolExecutor:
         # Not forked from here: a fork would take along the threads' locks. A server without threads
         # that has loaded what workers need makes them: a worker then costs some milliseconds

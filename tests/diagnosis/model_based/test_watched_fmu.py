@@ -142,3 +142,19 @@ def test_what_an_fmu_cannot_be_watched_by_is_said(axis, tmp_path):
         rs.monitor(rs.fmu(alone)).fit([window(1)])
     with pytest.raises(BadInput, match=r"'force': is of the kind 'input'"):
         rs.monitor(rs.fmu(axis), free=["force"]).fit([window(1)])
+
+
+def test_a_value_that_is_held_wrong_is_told_before_what_it_is_taken_for(axis):
+    lighter = rs.fmu(axis)  # its mass of 95 kg is held; that of the machine is 110 kg
+    watch = rs.monitor(lighter, free=DOTTED).fit([window(seed) for seed in range(6)])
+    told = watch.diagnoser_.learned()
+    (held,) = told["held_values"]
+    assert (held["name"], held["held"], held["unit"]) == ("M", 95.0, "kg")
+    assert held["value"] == pytest.approx(110.0, rel=0.02)
+    taken = [f"{m['effect']}@{m['place']}" for m in told["missing_physics"]]
+    assert held["as_much_as"] == tuple(taken) != ()
+    at = [
+        k for k, line in enumerate(told["says"]) if " held at " in line or "which the model" in line
+    ]
+    assert "M is held at 95 kg; healthy windows ask for 1" in told["says"][at[0]]
+    assert "M is held at 95 kg" in watch.score(window(101)).reason

@@ -7,11 +7,14 @@ import numpy as np
 import pytest
 from numba import njit
 
-from residuum.identification.discrepancy.explain import explain
+from residuum.identification.discrepancy.explain import answer_on_blocks, explain
 from residuum.identification.discrepancy.improve import improve
 from residuum.identification.errors import BadModel
-from residuum.identification.physics import read_model
+from residuum.identification.physics import Key, read_model
 from residuum.identification.record import Record
+from residuum.identification.unseen_blocks.record_search import searched
+from residuum.identification.unseen_blocks.structure import HELD
+from residuum.identification.unseen_blocks.tried import Wanted
 
 DRIVE = Path(__file__).with_name("drive.yaml").read_text()
 R, K, J, B = 1.7, 0.124, 0.00121, 0.00056
@@ -49,11 +52,11 @@ def record(drag=0.0, n=3000):
     return Record({"u": u} | noisy, {"u": "V", "speed": "rad/s", "current": "A"}, SAMPLE_TIME)
 
 
-def held_at(value):
-    """The model with its torque constant fixed at a value."""
+def held_at(value, name="K"):
+    """The model with its torque constant, or another parameter, fixed at a value."""
     model = read_model(DRIVE)
-    known = replace(model.parameters["K"], value=value, fixed=True)
-    return replace(model, parameters={**model.parameters, "K": known})
+    known = replace(model.parameters[name], value=value, fixed=True)
+    return replace(model, parameters={**model.parameters, name: known})
 
 
 def test_a_wrong_torque_constant_is_told_and_nothing_is_missing():
@@ -93,3 +96,17 @@ def test_fixed_means_fixed():
 def test_a_right_value_stays_where_it_is_held():
     found = explain(held_at(K), [record(drag=4e-6)], effects=EFFECTS)
     assert (found.held, list(found.accepted)) == ((), [("quadratic-drag", "rotor")])
+
+
+def test_where_an_effect_leads_the_value_that_does_as_much_is_told_before_it():
+    wanted = Wanted(("viscous-friction", "coulomb-friction"))
+    records = [record()]
+    search = searched(held_at(0.00046, "b"), records, None, wanted)
+    # Which of the two leads is chance: they are one equation.
+    friction, value = Key("viscous-friction", "rotor"), Key(HELD, "b")
+    search.best, search.group = search.every[(friction,)], [search.every[(value,)]]
+    found = answer_on_blocks(search, wanted, records, None, 0.0)
+    (held,) = found.held
+    assert list(found.accepted) == [friction]
+    assert (held.name, held.held, held.as_much_as) == ("b", 0.00046, ("viscous-friction@rotor",))
+    assert abs(held.value - B) < 4.0 * held.std < 0.05 * B

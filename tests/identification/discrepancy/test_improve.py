@@ -9,6 +9,7 @@ from residuum.identification.discrepancy.improve import improve
 from residuum.identification.discrepancy.improvement import quantities_of
 from residuum.identification.physics import read_model
 from residuum.identification.record import Record
+from residuum.library.answers.improvement import improvement_json, improvement_text
 
 VESSEL = """name: vessel
 inputs: {pump: V}
@@ -104,3 +105,50 @@ def test_a_tank_that_runs_over_at_the_end_of_its_record_is_learnt_from_there():
     assert found.candidate(use).effect == "overflow"
     assert found.history[-1].error < 1.2e-3
     assert found.verdict == "adequate"
+
+
+TWO_HEATERS = """name: two heaters
+inputs: {Q1: W, Q2: W}
+states: {T1: {unit: K}, T2: {unit: K}}
+parameters: {C: {value: 50, unit: J/K, lower: 1}, U: {value: 0.3, unit: W/K, lower: 0}}
+balances:
+  one: {kind: heat, storage: C * der(T1), terms: {heater: Q1, loss: -U * T1}, temperature: T1}
+  two: {kind: heat, storage: C * der(T2), terms: {heater: Q2, loss: -U * T2}, temperature: T2}
+outputs: {first: {value: T1, unit: K}, second: {value: T2, unit: K}}
+"""
+
+
+def lagging(seed):
+    """Two heated blocks of 60 J/K and .4 W/K, read by sensors that lag 20 and 60 s."""
+    rng = np.random.default_rng(seed)
+    Q = np.repeat(rng.uniform(0.0, 10.0, (30, 2)), 40, axis=0)
+    T, read = np.zeros(2), np.zeros(2)
+    rows = np.empty_like(Q)
+    for k, q in enumerate(Q):
+        rows[k] = read
+        for _ in range(20):
+            read = read + 0.05 * (T - read) / [20.0, 60.0]
+            T = T + 0.05 * (q - 0.4 * T) / 60.0
+    rows += 0.05 * rng.standard_normal(rows.shape)
+    channels = {"Q1": Q[:, 0], "Q2": Q[:, 1], "first": rows[:, 0], "second": rows[:, 1]}
+    return Record(channels, {"Q1": "W", "Q2": "W", "first": "K", "second": "K"}, 1.0)
+
+
+def test_the_same_effect_at_two_places_is_told_with_each_place():
+    asked = ["output-lag@first", "output-lag@second"]
+    found = improve(read_model(TWO_HEATERS), [lagging(3)], add=asked)
+    assert [(step.added, step.at) for step in found.history[1:]] == [
+        ("output-lag", "first"),
+        ("output-lag", "second"),
+    ]
+    lags = {use.target: quantities_of(use)["tau"] for use in found.added}
+    assert {target: round(tau.value, -1) for target, tau in lags.items()} == {
+        "first": 20,
+        "second": 60,
+    }
+    assert all(0.0 < tau.std < 5.0 for tau in lags.values())
+    errors = [use.provenance["error_after"] for use in found.added]
+    assert errors == [step.error for step in found.history[1:]]
+    text = improvement_text(found, None)
+    assert "output-lag in first: tau" in text and "output-lag in second: tau" in text
+    assert [said["at"] for said in improvement_json(found, None)["effects"]] == ["first", "second"]

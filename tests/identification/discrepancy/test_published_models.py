@@ -39,3 +39,13 @@ def test_a_link_that_turns_over_is_begun_where_the_search_found_it():
     assert improved.verdict == "adequate"
     (friction,) = improved.added
     assert abs(friction.parameters["d"].value - plant.size) < 3.0 * friction.provenance["std_d"]
+
+
+def test_an_actuator_that_had_not_settled_when_the_record_began_has_its_lag():
+    """Held to its command at first it was told too short, beside a lag of a sensor at the integrator's limit of stability."""
+    plant, record = PLANTS["wind-turbine"], hidden_record("wind-turbine")
+    improved = improve(model_of("wind-turbine"), [record], effects=["input-lag", "output-lag"])
+    assert [use.label for use in improved.added] == [plant.hidden]
+    assert improved.verdict == "adequate"
+    (lag,) = improved.added
+    assert abs(lag.parameters["tau"].value - plant.size) < 3.0 * lag.provenance["std_tau"]

@@ -20,6 +20,7 @@ from residuum.identification.physics import (
     with_coloured_noise,
 )
 from residuum.identification.physics.estimation.least_squares import covariance_of, solve_scaled
+from residuum.identification.physics.simulate.kalman import Noise
 from residuum.identification.record import Record
 
 SILVERBOX = Path(__file__).parents[4] / "shared/data/silverbox/SNLS80mV.mat"
@@ -271,3 +272,10 @@ def test_curvature_that_underflows_is_scaled_without_overflow():
     alike = np.array([[4.0, 1e300], [1e300, 1e-320]])
     assert np.all(np.isinf(np.diag(covariance_of(alike, 1.0, ("a", "b"), np.ones(2))[0])))
     assert not solve_scaled(alike, np.ones((2, 1))).any()
+
+
+def test_readings_whose_predicted_variance_is_none_are_infinitely_unlikely(records):
+    drive, experiments = match(load_model("gate-drive"), records[:1])
+    noise = Noise(np.full(2, -1.0), {"shaft": 0.0, "winding": 0.0})
+    (smoothed,) = missing_terms(drive, experiments, [Simulator(drive).x0({})], noise)
+    assert smoothed.log_likelihood == -np.inf

@@ -8,7 +8,7 @@ import pytest
 import residuum as rs
 from residuum.identification.errors import BadInput
 from residuum.identification.physics import Experiment, Simulator, load_model, write_model
-from residuum.identification.physics.simulate.differences import chosen_step
+from residuum.identification.physics.simulate.differences import Step, central, chosen_step
 from residuum.identification.record import Record
 from residuum.identification.record_formats import write_record
 from residuum.service.cli import BAD_INPUT, DONE, run
@@ -155,6 +155,38 @@ def test_a_rough_solver_gets_a_wide_step():
     noisy = chosen_step(lambda value: rough(value, 1e-4), 2.0, 2.0, (-np.inf, np.inf))
     assert noisy.relative > smooth.relative
     assert noisy.error < 0.05
+    # without noise a tiny step to one side is as good, and costs one simulation
+    assert (smooth.one_sided, noisy.one_sided) == (True, False)
+    assert smooth.error < 1e-4
+
+
+def test_a_step_to_one_side_goes_down_where_there_is_no_room_above():
+    tiny = Step(1e-6, 3.0, one_sided=True)
+    tried = []
+
+    def run(value):
+        tried.append(value)
+        return np.array([[value**2]])
+
+    for upper in (9.0, 3.0):
+        slope = tiny.slope(run, 3.0, np.array([[9.0]]), (0.0, upper))
+        assert slope[0, 0] == pytest.approx(6.0, rel=1e-5)
+    assert tried[0] > 3.0 > tried[1] and len(tried) == 2
+
+
+def test_what_runs_away_has_no_slope_and_what_is_left_keeps_its_own():
+    def runs_away(value):
+        return np.array([[value**2, np.inf], [2.0 * value, -np.inf]])
+
+    both = central(runs_away, 3.0, 1e-3, (-np.inf, np.inf))
+    assert both[:, 0] == pytest.approx([6.0, 2.0], rel=1e-3)
+    assert np.isnan(both[:, 1]).all()
+
+    def ends(value):
+        return np.array([[value if value <= 1.0 else np.inf]])
+
+    assert np.isnan(central(ends, 1.0, 1e-3, (1.0, 9.0))).all()  # neither side is left
+    assert central(ends, 1.0, 1e-3, (0.0, 9.0)) == pytest.approx(1.0)
 
 
 def test_an_fmu_whose_reset_changes_nothing_is_refused(axis, rail, tmp_path):
@@ -291,3 +323,25 @@ def test_only_named_parameters_of_our_own_models_are_estimated(sliding, rail):
     assert answer.model.parameters["viscous-friction@axis.d"].value == 25.0
     with pytest.raises(BadInput, match=r"free 'm': .* did you mean 'M'"):
         model.estimate(rail, free=["m"])
+
+
+def test_a_wrong_parameter_of_its_own_is_told_and_no_effect(axis, sliding):
+    heavy = recorded(sliding, {"M": 110.0, "viscous-friction@axis.d": 25.0})
+    found = rs.fmu(axis).explain(heavy, effects=["output-lag", "output-offset"])
+    (held,) = found.to_dict()["held_values"]
+    assert (held["name"], held["held"], held["unit"]) == ("M", 95.0, "kg")
+    assert held["value"] == pytest.approx(110.0, rel=0.01)
+    assert found.verdict == "adequate"
+
+
+def test_improve_frees_its_own_parameters_beside_effects(axis, rubbing):
+    improved = rs.fmu(axis).improve(
+        rubbing, free=list(TRUE), effects=["coulomb-friction", "output-offset"]
+    )
+    values = improved.model.parameters
+    assert improved.model.effects == ("coulomb-friction@v",)
+    for name, truth in TRUE.items():
+        assert values[name].value == pytest.approx(truth, rel=0.02)
+    assert values["coulomb-friction@v.tau_c"].value == pytest.approx(20.0 / 110.0, rel=0.02)
+    with pytest.raises(BadInput, match=r"'force': is of the kind 'input'"):
+        rs.fmu(axis).improve(rubbing, free=["force"])

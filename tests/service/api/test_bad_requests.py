@@ -3,7 +3,10 @@
 import io
 import json
 import re
+import socket
+import time
 
+import httpx
 import numpy as np
 import pytest
 
@@ -321,3 +324,19 @@ def test_a_setting_is_refused_alike_by_command_and_service(
     by_command = capsys.readouterr().err.removeprefix("residuum: ").strip()
     _, detail = refused("POST", f"/api/v1/score/{diagnoser}", params=asked, content=text())
     assert by_command == re.sub(r'"([^"]+)"', lambda field: as_option(field[1]), detail)
+
+
+def test_a_client_that_leaves_in_the_midst_of_its_body_is_no_fault_of_the_service(
+    run_service, log_lines
+):
+    service = run_service()
+    head = f"POST {WINDOWS} HTTP/1.1\r\nHost: localhost\r\nContent-Type: text/csv\r\n"
+    with socket.create_connection(("127.0.0.1", service.port)) as leaving:
+        leaving.sendall(f"{head}Content-Length: 1000\r\n\r\ntime [s],a [m/s²]\r\n".encode())
+    end = time.monotonic() + 60
+    counted = re.compile(r'residuum_http_requests_total{method="POST",.*status="(\d+)"} 1\.0')
+    while not (told := counted.search(httpx.get(f"{service.url}/metrics", timeout=60).text)):
+        assert time.monotonic() < end, "the request was not counted"
+        time.sleep(0.02)
+    assert told[1] == "400"
+    assert not [line for line in log_lines if line["log_level"] == "error"]

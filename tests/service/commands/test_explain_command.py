@@ -4,7 +4,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from residuum.identification.discrepancy.explain import HeldValue
+from residuum.identification.unseen_blocks.structure import HeldValue
 from residuum.identification.unseen_blocks.verdict import Quantity
 from residuum.identification.work import Work
 from residuum.library.answers.explanation import explanation_text
@@ -58,6 +58,12 @@ def test_a_value_that_was_freed_is_said_with_those_that_would_do_as_well():
         "m is fixed at 6195 kg; the records ask for 5894.3 ± 0.2 kg" in text
         and "(S would do as well)" in text
     )
+
+
+def test_a_value_that_does_as_much_as_an_effect_is_said_with_it():
+    held = HeldValue("m", 608.0, 638.0, 0.5, "kg", as_much_as=("cubic-spring@shaft",))
+    text = explanation_text(explanation("missing-effect", 1.0, (held,)))
+    assert "638 ± 0.5 kg, which explains as much as cubic-spring@shaft: improve with" in text
 
 
 @pytest.mark.parametrize(

@@ -424,9 +424,11 @@ def test_codes_for_no_value_are_told_by_their_bits_whatever_the_scaling(tmp_path
     for name in ("speed", "gas", "oil"):
         assert np.isnan(values[name]).tolist() == [False, True, True, True, True, True], name
     assert values["speed"][0] == 8031.875 and values["oil"][0] == 210.0
-    assert not np.isnan(values["raw"]).any(), "the file says that 255 is a value"
+    # of J1939 0xFE and 0xFF are no values although the file's range is all that the bits hold
+    assert np.isnan(values["raw"]).tolist() == [False, False, *[j1939] * 4]
     assert np.isnan(values["bare"][1:]).all() == j1939 and not np.isnan(values["switch"]).any()
-    assert layout.codes(frames) == {"speed": 5, "oil": 5, "gas": 5} | ({"bare": 5} if j1939 else {})
+    of_j1939 = {"bare": 5, "raw": 4} if j1939 else {}
+    assert layout.codes(frames) == {"speed": 5, "oil": 5, "gas": 5} | of_j1939
 
 
 def test_codes_of_another_bus_are_all_ones_ends_of_a_sign_and_what_a_value_table_names(tmp_path):

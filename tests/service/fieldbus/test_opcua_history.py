@@ -2,6 +2,7 @@
 
 import asyncio
 import threading
+from contextlib import closing
 from datetime import UTC, datetime, timedelta
 
 import numpy as np
@@ -10,9 +11,13 @@ from asyncua import Server, ua
 
 import residuum as rs
 from residuum.identification.errors import BadRecord
+from residuum.identification.record_formats.histories import HistoryReader, windows_of
+from residuum.identification.record_formats.history import HistoryAway
 from residuum.service.cli import DONE, run
 
 N, BEGIN = 300, datetime(2026, 3, 1, tzinfo=UTC)
+MANY = 10_321  # more than is asked for at a time
+KEPT = []  # what the server keeps its history in
 SPEED = 100.0 + np.random.default_rng(0).normal(size=N)
 OIL = np.round(40.0 + np.random.default_rng(1).normal(size=N // 10))
 
@@ -26,12 +31,14 @@ async def _serve(url, ready, stop):
     speed = await machine.add_variable(ua.NodeId("Speed", 2), "2:speed", 0.0)
     oil = await machine.add_variable(ua.NodeId("Oil", 2), "2:oil", 0)
     words = await machine.add_variable(ua.NodeId("Words", 2), "2:words", "idle")
+    many = await machine.add_variable(ua.NodeId("Many", 2), "2:many", 0.0)
     units = ua.EUInformation(DisplayName=ua.LocalizedText("rpm"))
     await speed.add_property(0, "EngineeringUnits", units)
     async with server:
-        for node in (speed, oil, words):
-            await server.historize_node_data_change(node, period=None, count=10 * N)
+        for node in (speed, oil, words, many):
+            await server.historize_node_data_change(node, period=None, count=2 * MANY)
         kept = server.iserver.history_manager.storage
+        KEPT.append(kept)
         for k in range(N):
             at = BEGIN + timedelta(seconds=k)
             status = ua.StatusCode(ua.StatusCodes.Bad if k == 7 else ua.StatusCodes.Good)
@@ -39,6 +46,9 @@ async def _serve(url, ready, stop):
             if k % 10 == 0:
                 await kept.save_node_value(oil.nodeid, _value(int(OIL[k // 10]), at))
         await kept.save_node_value(words.nodeid, _value("runs", BEGIN))
+        for k in range(MANY):
+            at = BEGIN + timedelta(seconds=k)
+            await kept.save_node_value(many.nodeid, _value(float(k), at))
         ready.set()
         while not stop.is_set():
             await asyncio.sleep(0.05)
@@ -117,5 +127,46 @@ def test_a_time_without_values_and_an_address_without_a_time_are_refused(histori
 def test_a_server_that_does_not_answer_is_told_without_the_password(free_port):
     port = free_port()
     address = asked(f"opc.tcp://me:secret@127.0.0.1:{port}", "i=85")
-    with pytest.raises(BadRecord, match=rf"opc.tcp://127.0.0.1:{port}: (?!.*secret)"):
+    with pytest.raises(HistoryAway, match=rf"opc.tcp://127.0.0.1:{port}: (?!.*secret)"):
         rs.read(address)
+
+
+@pytest.mark.parametrize("at_once", [10_000, 700])
+def test_no_value_is_lost_where_a_server_gives_them_in_parts(historian, at_once, monkeypatch):
+    """This server cuts an answer at what was asked for without a word, and else goes on by points."""
+    monkeypatch.setattr(KEPT[0], "max_history_data_response_size", at_once)
+    record = rs.read(asked(historian, "ns=2;s=Many"))
+    np.testing.assert_array_equal(record["many"], np.arange(MANY))
+
+
+def test_windows_of_nodes_are_those_of_the_whole_record_in_one_session(historian):
+    address = asked(historian, "ns=2;s=Speed,ns=2;s=Oil", end="2026-03-01T00:05") + "&window=100"
+    names = windows_of(address)
+    whole = rs.read(address.removesuffix("&window=100"))
+    with closing(HistoryReader(address)) as reader:
+        parts = [reader.read(name) for name in names]
+    for name, part in zip(names, parts, strict=True):
+        assert (part.source, part.units["speed"]) == (name, "rpm")
+        np.testing.assert_array_equal(rs.read(name)["speed"], part["speed"])
+    np.testing.assert_array_equal(np.concatenate([part["speed"] for part in parts]), whole["speed"])
+    with pytest.raises(BadRecord, match="window asks for several records"):
+        rs.read(address)
+
+
+def test_a_session_that_ended_is_opened_anew(historian):
+    address = asked(historian, "ns=2;s=Speed", end="2026-03-01T00:05") + "&window=150"
+    names = windows_of(address)
+    with closing(HistoryReader(address)) as reader:
+        first = reader.read(names[0])
+        reader.close()
+        np.testing.assert_array_equal(reader.read(names[0])["speed"], first["speed"])
+
+
+def test_the_windows_of_nodes_are_identified_from_by_the_fleets_command(historian, tmp_path):
+    # the first seconds have a value of bad status, which a model is not identified with
+    address = asked(historian, "ns=2;s=Speed", "2026-03-01T00:00:10", "2026-03-01T00:05")
+    address += "&window=145"
+    out = tmp_path / "models.jsonl"
+    words = ["reidentify", address, "--output", "speed", "--method", "ar", "--order", "2"]
+    assert run([*words, "--out", str(out), "--workers", "1"]) == DONE
+    assert out.read_text().count('"model"') == 2

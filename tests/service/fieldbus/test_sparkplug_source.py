@@ -36,7 +36,6 @@ from residuum.service.fieldbus.sparkplug.sparkplug_source import REBIRTH, Sparkp
 from residuum.service.finding_metrics import EdgeNode, FindingMetrics
 from residuum.service.settings import BadSettings, load_settings
 from residuum.service.storage import DiskStore
-from residuum.service.window_queue.stored_windows import StoredNews
 
 STEP = 0.02
 
@@ -345,7 +344,7 @@ def test_a_service_publishes_what_it_stored(broker, host, run_service):
     assert (birth["verdict"], birth["reason"]) == ("faulty", "worn")
 
 
-def test_a_service_publishes_what_scorers_stored_and_what_the_store_had_at_its_start(
+def test_a_service_publishes_what_it_stored_and_what_the_store_had_at_its_start(
     broker, host, run_service, free_port
 ):
     asyncua = pytest.importorskip(
@@ -356,7 +355,6 @@ def test_a_service_publishes_what_scorers_stored_and_what_the_store_had_at_its_s
     service = run_service(
         mqtt=broker, sparkplug="Plant/Residuum", opcua_server=opcua, opcua_anonymous=True
     )
-    theirs = DiskStore(service.services.settings.data, service.services.settings.database_url)
     record = Record({"y": [0.0, 1.0]}, {"y": "V"}, 1.0)
 
     def said():
@@ -371,13 +369,9 @@ def test_a_service_publishes_what_scorers_stored_and_what_the_store_had_at_its_s
         with asyncua.Client(opcua) as client, suppress(Exception):
             return client.get_node(f"ns=2;s=press.{name}").read_value()
 
-    window = theirs.add_window("press", record, Finding("bearing", "faulty", reason="worn"))
-    wait(
-        lambda: (
-            listening.client.publish("residuum/stored", StoredNews("press", window).pack(), qos=1)
-            and "alarm" in said()
-        )
-    )
+    store = service.services.store
+    store.add_window("press", record, Finding("bearing", "faulty", reason="worn"))
+    wait(lambda: "alarm" in said())
     assert (said()["verdict"], said()["reason"], said()["alarm"]) == (
         "faulty",
         "worn",
@@ -385,6 +379,8 @@ def test_a_service_publishes_what_scorers_stored_and_what_the_store_had_at_its_s
     )
     wait(lambda: served("verdict") == "faulty" and served("alarm") == "unacknowledged")
     service.stop()
+    settings = service.services.settings
+    theirs = DiskStore(settings.data, settings.database_url)
     theirs.add_window("press", record, Finding("bearing", "faulty", reason="while nobody looked"))
     theirs.close()
     listening.heard.clear()

@@ -23,7 +23,7 @@ from residuum.identification.record_formats import read_record
 from residuum.library.questions.identify import Identify
 from residuum.service.cli import run
 from residuum.service.fleet import fleet
-from residuum.service.fleet.fleet import Reidentify, Rescore, open_executor, run_fleet
+from residuum.service.fleet.fleet import Reidentify, Rescore, answers_of, open_executor, run_fleet
 from residuum.service.machines.baselines import choose_method
 from residuum.service.storage import DiskStore
 from residuum.service.work.worker_pool import WorkerPool
@@ -63,15 +63,29 @@ def test_an_unfinished_run_is_gone_on_with_from_where_it_was(files, serial, tmp_
             workers=1,
             tell=lambda count, _: done.append(count),
         )
-    assert done[0] > 25 and done[-1] == 60 and results.read_bytes() == serial
+    assert done[0] == 25 and done[-1] == 60 and results.read_bytes() == serial
 
 
-def test_a_file_that_is_no_results_file_is_left_alone(files, tmp_path):
+@pytest.mark.parametrize("text", ["time [s],y [V]\n0,1\n", "my only copy", '{"file": 1}\n'])
+def test_a_file_that_is_no_results_file_is_left_alone(text, files, tmp_path):
     mine = tmp_path / "mine.csv"
-    mine.write_text("time [s],y [V]\n0,1\n")
-    with open_executor(1, None) as pool, pytest.raises(BadInput, match="holds no results"):
-        run_fleet(files, fleet_benchmark.WORK, pool, mine, workers=1, tell=silent)
-    assert mine.read_text() == "time [s],y [V]\n0,1\n"
+    mine.write_text(text)
+    with ThreadPoolExecutor(1) as executor, pytest.raises(BadInput, match=r"holds (no )?results"):
+        run_fleet(files, fleet_benchmark.WORK, executor, mine, workers=1, tell=silent)
+    assert mine.read_text() == text
+
+
+def test_results_of_other_records_alone_are_not_written_over(files, tmp_path):
+    results = tmp_path / "results.jsonl"
+    with ThreadPoolExecutor(1) as executor:
+        run_fleet(files[:2], fleet_benchmark.WORK, executor, results, workers=1, tell=silent)
+        theirs = results.read_bytes()
+        with pytest.raises(BadInput, match="holds results of other records; give another name"):
+            run_fleet(files[2:4], fleet_benchmark.WORK, executor, results, workers=1, tell=silent)
+        assert results.read_bytes() == theirs
+        work = fleet_benchmark.WORK
+        assert run_fleet(files[1:3], work, executor, results, workers=1, tell=silent) == 1
+    assert [answer["file"] for answer in answers_of(results)] == files[1:3]
 
 
 def test_results_of_other_work_are_not_taken_for_ones_own(files, serial, tmp_path):
@@ -101,7 +115,7 @@ def end_if_it_is_the_bad_one(file):
 def test_a_file_that_ends_every_worker_is_refused_and_the_others_are_done(monkeypatch, tmp_path):
     monkeypatch.setattr("residuum.service.fleet.fleet._ATTEMPTS", 1)
     pool = WorkerPool(1)
-    found = run_fleet(
+    run_fleet(
         ["one", "bad", "three"],
         end_if_it_is_the_bad_one,
         pool,
@@ -110,6 +124,7 @@ def test_a_file_that_ends_every_worker_is_refused_and_the_others_are_done(monkey
         tell=silent,
     )
     pool.terminate()
+    found = list(answers_of(tmp_path / "r"))
     assert [each.get("length") for each in found] == [3, None, 5]
     assert "ended its worker" in found[1]["refused"]
 
@@ -303,7 +318,7 @@ def test_a_bucket_that_goes_away_ends_the_run_and_refuses_no_file(tmp_path):
 
     fsspec.register_implementation("away", Away, clobber=True)
     work = Rescore("bearing", None, fleet.Bucket("away://bucket"))
-    done = json.dumps({"file": "a.csv", "by": work.mark, "refused": "-"}) + "\n"
+    done = json.dumps({"file": "a.csv", "by": work.mark("a.csv"), "refused": "-"}) + "\n"
     (tmp_path / "r").write_text(done)
     with (
         ThreadPoolExecutor(1) as executor,

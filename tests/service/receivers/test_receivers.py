@@ -91,7 +91,7 @@ def telling(tmp_path):
         yield start
 
 
-def see(store, verdict, rms=3.214):
+def see(store, verdict, rms=3.214, asset="press"):
     record = Record({"y": np.zeros(2)}, {"y": "V"}, 1.0)
     finding = Finding(
         "bearing",
@@ -102,7 +102,7 @@ def see(store, verdict, rms=3.214):
         {"rms": "m/s²", "kurtosis": ""},
         reason="outer race: <b> & _damage_",
     )
-    return store.add_window("press", record, finding)
+    return store.add_window(asset, record, finding)
 
 
 def mail(server, **more):
@@ -166,6 +166,27 @@ def test_every_kind_is_told_the_same_changes_in_order(telling, hook_of):
         "unit": "m/s²",
     }
     assert notifications.troubles() == {}
+
+
+def test_a_receiver_is_told_the_machines_and_priorities_that_it_names(telling, hook_of):
+    hooks = [hook_of() for _ in range(3)]
+    named = [{}, {"machines": ["hall-1.*", "press"]}, {"priorities": ["high", "medium"]}]
+    receivers = [
+        {"kind": "webhook", "url": hook.url, **which}
+        for hook, which in zip(hooks, named, strict=True)
+    ]
+    store, notifications = telling(*receivers)
+    for asset in ("hall-2.press", "hall-1.press", "press"):
+        see(store, "faulty", asset=asset)
+    assert [hooks[0].next()["asset"] for _ in range(3)] == ["hall-2.press", "hall-1.press", "press"]
+    assert [hooks[1].next()["asset"] for _ in range(2)] == ["hall-1.press", "press"]
+    # those of no priority are told to who names none
+    wait_until(lambda: [each.sent for each in notifications.receivers] == [3, 2, 0])
+    _, of_hall, urgent = receivers_of(load_settings(receivers=receivers))
+    assert urgent.wants({"asset": "press", "priority": "medium"})
+    assert not urgent.wants({"asset": "press", "priority": "low"})
+    flood = {"kind": "flood", "phase": "begins", "raised": 20}
+    assert of_hall.wants(flood) and urgent.wants(flood)
 
 
 def test_a_webhook_is_signed_as_standard_webhooks_has_it(telling, hook_of, tmp_path):

@@ -1,13 +1,20 @@
 """Records from tables of a real PostgreSQL server, as a plant's history has them: wide and long, with gaps, and refused."""
 
+import json
+import subprocess
+import sys
+import time
 from contextlib import closing
+from urllib.parse import unquote_plus
 
+import httpx
 import numpy as np
 import psycopg
 import pytest
 from sqlalchemy import make_url
 
 import residuum as rs
+from residuum.diagnosis.diagnosers.robust_residual import RobustResidual
 from residuum.identification.errors import BadRecord
 from residuum.identification.record_formats.histories import HistoryReader, windows_of
 from residuum.identification.record_formats.history import HistoryAway
@@ -252,3 +259,184 @@ def test_a_history_is_scored_and_gone_on_with(plant, tmp_path, capsys):
     out.write_bytes(b"".join(lines[3:5]) + lines[6][:30])
     assert run(words) == DONE
     assert out.read_bytes().splitlines(keepends=True) == lines
+
+
+MACHINES = {"pump 1": 0.8, "pump/2": 0.9, "never trained": 0.5}
+
+
+@pytest.fixture(scope="module")
+def fleet(plant, tmp_path_factory):
+    """A table of three machines and a folder with the baselines of two: (its address, the folder)."""
+    n = 12_000
+    with psycopg.connect(plant.replace("timescale", "postgresql"), autocommit=True) as admin:
+        admin.execute("CREATE TABLE fleet (time timestamp, machine text, u float8, y float8)")
+        with admin.cursor().copy("COPY fleet FROM STDIN") as copy:
+            for seed, (machine, pole) in enumerate(MACHINES.items()):
+                rng = np.random.default_rng(seed)
+                u, y = np.sign(rng.normal(size=n)), np.zeros(n)
+                for k in range(1, n):
+                    y[k] = pole * y[k - 1] + u[k - 1] + 0.02 * rng.normal()
+                y[8000:] += 5.0  # a fault, and below it what an instrument writes for an overload
+                y[8321] = 9.9e37
+                for k in range(n):
+                    stamp = np.datetime64(int(START) + k, "s")
+                    copy.write_row((str(stamp), machine, float(u[k]), float(y[k])))
+        admin.execute("CREATE INDEX ON fleet (machine, time)")
+    folder = tmp_path_factory.mktemp("baselines")
+    for machine in list(MACHINES)[:2]:
+        words = [f"{plant}/fleet?tags=u,y&machine={machine}&end=2026-03-01T00:30", "--out"]
+        file = folder / f"{machine.replace('/', '%2F')}.baseline"
+        assert run(["train", "robust-residual", *words, str(file)]) == DONE
+    return f"{plant}/fleet?tags=u,y&each=machine", folder
+
+
+def _rescored(address, folder, out):
+    words = ["rescore", "robust-residual", address, "--baseline", str(folder)]
+    words += ["--out", str(out), "--workers", "2", "--json"]
+    return [sys.executable, "-m", "residuum", *words]
+
+
+def test_a_fleet_is_judged_by_each_machines_baseline_and_gone_on_with_when_killed(fleet, tmp_path):
+    address, folder = fleet
+    out = tmp_path / "scored.jsonl"
+    command = _rescored(f"{address}&window=200", folder, out)
+    end = time.monotonic() + 300
+    with subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE) as begun:
+        while not (out.exists() and out.stat().st_size):
+            assert begun.poll() is None and time.monotonic() < end, begun.stderr.read()
+            time.sleep(0.01)
+        begun.kill()
+    left = out.read_bytes().splitlines(keepends=True)
+    assert 0 < len(left) < 120
+    done = subprocess.run(command, check=True, capture_output=True, text=True, timeout=300)
+    answers = [json.loads(line) for line in out.read_text().splitlines()]
+    assert json.loads(done.stdout)["files"] == len(answers) == 120
+    assert set(left) <= set(out.read_bytes().splitlines(keepends=True))
+    names = windows_of(f"{address}&window=200", ["pump 1", "pump/2"])
+    assert [answer["file"] for answer in answers] == list(names)
+    judges = [RobustResidual.load(file) for file in sorted(folder.iterdir())]
+    for place, answer in enumerate(answers):
+        expected = judges[place // 60].score(rs.read(answer["file"])).to_json()
+        assert answer["finding"] == json.loads(json.dumps(expected))
+    assert {answer["finding"]["verdict"] for answer in answers[42:60]} == {"faulty"}
+
+
+def test_a_machine_that_is_trained_later_joins_the_results(fleet, tmp_path, capsys):
+    address, folder = fleet
+    first, *others = sorted(folder.iterdir())
+    mine, out = tmp_path / "mine", tmp_path / "scored.jsonl"
+    mine.mkdir()
+    words = _rescored(f"{address}&window=1000", mine, out)[3:]
+    assert run(words) == BAD_INPUT
+    assert "holds no MACHINE.baseline" in capsys.readouterr().err
+    (mine / first.name).write_bytes(first.read_bytes())
+    assert run(words) == DONE
+    before = out.read_bytes()
+    for file in others:
+        (mine / file.name).write_bytes(file.read_bytes())
+    assert run(words) == DONE
+    assert out.read_bytes().startswith(before) and len(out.read_bytes().splitlines()) == 24
+    one_machine = address.replace("each=machine", "machine=pump 1")
+    assert run(_rescored(f"{one_machine}&window=60", mine, out)[3:]) == BAD_INPUT
+    assert "is a folder; only windows of a history tell" in capsys.readouterr().err
+
+
+COLUMNS = """\
+streams:
+  signals:
+    sample_time: 1
+    time: {column: time, form: seconds}
+    channels: {u: {column: u}, y: {column: y}}
+"""
+
+
+@pytest.fixture
+def watched(run_service, tmp_path):
+    """A service that watches a pump without a baseline; its address."""
+    service = run_service(growing_files=tmp_path)
+    machine = {
+        "diagnoser": "robust-residual",
+        "window": {"cut": "sliding", "length": 200, "step": 200},
+        "sources": [{"kind": "file", "channel": "file:pump.csv", "map": "columns.yaml"}],
+        "maps": {"columns.yaml": COLUMNS},
+    }
+    answer = httpx.put(f"{service.url}/api/v1/assets/pump/machine", json=machine, timeout=60)
+    assert answer.status_code == 200, answer.text
+    return service.url
+
+
+def test_a_machine_is_trained_from_its_history_and_lends_it_to_the_service_alone(
+    fleet, watched, capsys
+):
+    address = fleet[0].replace("each=machine", "machine=pump 1")
+    span = ["--healthy", "2026-03-01T00:00..2026-03-01T02:00"]
+    words = ["watch", "train", "pump", "--url", watched, "--json", "--from"]
+    assert run([*words, address, *span]) == DONE
+    told = json.loads(capsys.readouterr().out)
+    assert told["windows"] == 36 and told["alarms"] <= 1
+    assert "36 of 36 windows" in told["from"][0] and "machine=pump 1" in unquote_plus(
+        told["from"][0]
+    )
+    asked = f"{address}&start=2026-03-01&end=2026-03-01T02:00&window=200"
+    trained = RobustResidual().fit([rs.read(window) for window in windows_of(asked)])
+    assert told["learned"] == json.loads(json.dumps(trained.learned()))
+    api = f"{watched}/api/v1"
+    assert httpx.get(f"{api}/records", timeout=60).json()["items"] == []
+    assert httpx.get(f"{api}/assets/pump/machine", timeout=60).json()["baseline"] is True
+
+
+def test_what_cannot_be_trained_from_is_refused_and_leaves_nothing(
+    fleet, watched, tmp_path, capsys
+):
+    address = fleet[0].replace("each=machine", "machine=pump 1")
+    record = tmp_path / "healthy.npz"
+    rs.read(f"{address}&end=2026-03-01T00:10").save(record)
+    words = ["watch", "train", "pump", "--url", watched]
+    for more, says in (
+        (["--from", str(record)], "body, records: 1 are given; at least 5 are needed"),
+        (["--from", address, "--healthy", "2026-04..2026-03"], "ends before it begins"),
+        (["--from", address, "--healthy", "spring"], "must be BEGIN..END"),
+        (["--from", address, "--healthy", "2027-03..2027-04"], "no rows"),
+        (["--from", f"{address}&start=2026-03-01", "--healthy", "2026-03..2026-03"], "says start"),
+        (["--from", fleet[0], "--healthy", "2026-03..2026-03"], "windows of several machines"),
+        (["--from", str(record), "--healthy", "2026-03..2026-03"], "--from names none"),
+        (["--healthy", "2026-03..2026-03"], "it is missing"),
+        (["--from", str(record), "--from", str(tmp_path / "absent.npz")], "no such file"),
+    ):
+        assert run([*words, *more]) == BAD_INPUT
+        assert says in capsys.readouterr().err
+    api = f"{watched}/api/v1"
+    assert httpx.get(f"{api}/records", timeout=60).json()["items"] == []
+    assert httpx.get(f"{api}/assets/pump/machine", timeout=60).json()["baseline"] is False
+
+
+def test_windows_are_made_when_asked_for_and_found_by_their_addresses(plant):
+    windows = windows_of(f"{plant}/wide?each=site&tags=torque&window=0.1")
+    assert len(windows) > 3_000_000 // 400 and windows[-1] == windows[len(windows) - 1]
+    for place in (0, 5, len(windows) - 1):
+        assert windows.place_of(windows[place]) == place
+    other = windows[5].replace("torque", "speed")
+    for name in (
+        other,
+        windows[5] + "&start=2026-03-01",
+        "a.csv",
+        windows[0].replace("north", "x"),
+    ):
+        assert name not in windows
+
+
+def test_a_window_is_read_by_an_index_of_times_without_a_zone(fleet, plant):
+    address, _ = fleet
+    (name, *_) = windows_of(f"{address}&window=60", ["pump 1"])
+    end = time.monotonic() + 60
+    with psycopg.connect(plant.replace("timescale", "postgresql"), autocommit=True) as admin:
+        admin.execute("ANALYZE fleet")
+        scans = "SELECT seq_scan, idx_scan FROM pg_stat_user_tables WHERE relname = 'fleet'"
+        before = admin.execute(scans).fetchone()
+        # what was counted is told when a connection ends
+        with closing(HistoryReader(address)) as reader:
+            assert reader.read(name).n == 60
+        while (after := admin.execute(scans).fetchone())[1] == before[1]:
+            assert time.monotonic() < end, "no index was used"
+            time.sleep(0.1)
+        assert after[0] == before[0]

@@ -185,6 +185,20 @@ def test_a_machine_shows_why_and_its_signals(service, open_page):
     expect(page.locator(".picker button[aria-pressed=true]")).to_have_count(1)
 
 
+def test_a_list_that_gets_longer_stays_where_it_was_scrolled_to(service, open_page):
+    for number in range(20):
+        store(service, "conveyor", 0.5 + 0.01 * number)
+    page = open_page(f"{service.url}/#/machines/conveyor")
+    picker = page.locator(".picker")
+    expect(picker.locator("button")).to_have_count(20)
+    picker.evaluate(
+        "(list) => new Promise((seen) => { list.onscroll = seen; list.scrollTop = 100; })"
+    )
+    store(service, "conveyor", 0.8)
+    expect(picker.locator("button")).to_have_count(21)
+    assert picker.evaluate("(list) => list.scrollTop") == 100
+
+
 def test_a_window_has_more_pictures_than_its_spectrum(service, open_page):
     page = open_page(f"{service.url}/#/machines/press")
     for picture, axis in (("Envelope spectrum", "envelope [m/s²]"), ("Kurtogram", "level")):

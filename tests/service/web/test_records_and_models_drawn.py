@@ -60,9 +60,9 @@ def test_the_record_that_was_chosen_is_drawn_with_every_peak(service, open_page,
 
 def candidate(effect, balance, probability):
     return {
-        "effect": effect, "balance": balance, "probability": probability, "indistinguishable_from": [], "output": "speed",
-        "parameters": {"c": {"value": 0.5, "std": 0.01, "unit": "N*m"}}, "error_before": 3.0, "error_after": 0.5,
-        "error_unit": "rad/s", "held_out": True, "within_bounds": True, "share": None,
+        "effect": effect, "balance": balance, "probability": probability, "indistinguishable_from": [], "rivals": [],
+        "output": "speed", "parameters": {"c": {"value": 0.5, "std": 0.01, "unit": "N*m"}},
+        "error_before": 3.0, "error_after": 0.5, "error_unit": "rad/s", "held_out": True, "within_bounds": True, "share": None,
     }  # fmt: skip
 
 

@@ -95,7 +95,7 @@ def test_the_guided_way_of_the_tutorial_by_clicking(run_service, open_page, legi
     answered(page, page.get_by_text("Structured error"))
     legible(page)
     key(page, "improve").click()
-    answered(page, page.get_by_text(re.compile("Quadratic drag added")))
+    answered(page, page.get_by_text(re.compile("Quadratic drag of the shaft added")))
     legible(page)
     key(page, "use-improved").click()
 

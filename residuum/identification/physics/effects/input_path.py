@@ -83,7 +83,10 @@ class InputLag(Effect):
         u = scene.signal
         lagged = scene.x["u_f"]
         return Contribution(
-            signal=lagged, rates={"u_f": (u - lagged) / scene.p["tau"]}, initial={"u_f": u}
+            signal=lagged,
+            rates={"u_f": (u - lagged) / scene.p["tau"]},
+            initial={"u_f": u},
+            deviating=("u_f",),
         )
 
     def starts(self, conditions: Conditions) -> list[dict[str, float]]:

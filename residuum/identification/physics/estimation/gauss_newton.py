@@ -207,20 +207,25 @@ class Problem:
         of = self.cells
         # A machine that cannot be is not simulated: its cost is infinite as that of one that
         # diverges.
-        possible = self.simulator.possible(p) and _accumulated(
-            *(system, at.U, of.Y, unit.weights, self.filters, unit.clip, at.starts, p, X0),
-            *(
-                at.sample_times,
-                self.substeps,
-                at.holds,
-                at.follows,
-                self.free,
-                columns,
-                of.cell,
-                M,
-                power,
-            ),
-        )
+        with self.simulator.settled(p) as settled:
+            possible = (
+                settled
+                and self.simulator.possible(p)
+                and _accumulated(
+                    *(system, at.U, of.Y, unit.weights, self.filters, unit.clip, at.starts, p, X0),
+                    *(
+                        at.sample_times,
+                        self.substeps,
+                        at.holds,
+                        at.follows,
+                        self.free,
+                        columns,
+                        of.cell,
+                        M,
+                        power,
+                    ),
+                )
+            )
         return Fit(
             self,
             theta,

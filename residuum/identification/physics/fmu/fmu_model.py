@@ -110,7 +110,8 @@ def _rates(library: LoadedLibrary) -> dict[int, int]:
         np.concatenate([[0.0], library.start + rng.normal(size=library.start.size)])
         for _ in range(_POINTS)
     ]
-    values = np.array([library.value(point)[:n] for point in points])
+    with library.instance.lock:
+        values = np.array([library.value(point)[:n] for point in points])
     x = np.array(points)[:, 1 : 1 + n]
     rates: dict[int, int] = {}
     for q in range(n):

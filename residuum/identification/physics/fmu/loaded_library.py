@@ -2,8 +2,9 @@
 for compiled code.
 
 Its slopes are directional derivatives where the FMU gives them, and they agree with differences;
-else they are central differences. The FMU is one object with a state of its own, so what calls it
-holds a lock, and the last point is remembered: a step asks for each rate at the same point.
+else they are central differences. The FMU is one object with a state of its own, so a whole pass
+holds the instance's lock, and the last point is remembered: a step asks for each rate at the same
+point.
 """
 
 # mypy: disable-error-code="no-untyped-def,no-untyped-call,untyped-decorator,attr-defined,call-arg"
@@ -15,7 +16,6 @@ import hashlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
-from threading import Lock
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -39,7 +39,6 @@ _POINTS = 4
 _AGREES = 1e-3
 """Points at which a derivative is held against a difference, and the part by which it may differ.
 """
-_LOADING = Lock()
 _KEPT: list[Any] = []
 """What compiled code points to, and must not be freed."""
 
@@ -82,15 +81,14 @@ def _doubles(typingctx, address):
 class _Arrays(NamedTuple):
     """What the compiled functions point to.
 
-    `memory` has the last point and its values, the point of the slopes, which of their columns are
-    known, and they themselves, two rows of values, a point to move, and a seed. `references` are
-    those of inputs, outputs, then of what directional derivatives are of and by. `mutex` is held
-    while the FMU is asked.
+    `memory` has the last point and its values, the point of the slopes and they themselves, two
+    rows of values, a seed, then what of it is known: rates and outputs at the last point, whether
+    the FMU is there, and for each column of slopes those of rates and of outputs. `references` are
+    those of inputs, outputs, then of what directional derivatives are of and by.
     """
 
     memory: Array
     references: npt.NDArray[np.uint32]
-    mutex: npt.NDArray[np.int64]
 
 
 def library_of(instance: Instance, asked: Sequence[str] = ()) -> LoadedLibrary:
@@ -102,7 +100,7 @@ def library_of(instance: Instance, asked: Sequence[str] = ()) -> LoadedLibrary:
     asked : sequence of str
         Parameters by which slopes are wanted.
     """
-    with _LOADING:
+    with instance.lock:
         return _library_of(instance, tuple(asked))
 
 
@@ -132,7 +130,7 @@ def _loaded(instance: Instance, own: tuple[str, ...]) -> LoadedLibrary:
     n = 1 + nx + nu + len(own)
     m = nx + ny
     # NaN is no point: the first question is always asked of the FMU.
-    memory = np.full(3 * n + 4 * m + m * n + n, np.nan)
+    memory = np.full(2 * n + 3 * m + m * n + 1 + 3 + 2 * n, np.nan)
     variables = (
         *description.inputs,
         *description.outputs,
@@ -145,11 +143,10 @@ def _loaded(instance: Instance, own: tuple[str, ...]) -> LoadedLibrary:
     references = np.array([v.reference for v in variables], dtype=np.uint32)
     known = [v.name in given for v in (*description.states, *description.inputs)]
     by_derivative = np.array([False, *known, *(True for _ in own)], dtype=np.bool_)
-    mutex = np.zeros(16, dtype=np.int64)
     functions = _functions(instance)
     # Addresses of these stand in compiled code, which Python does not count as a reference.
-    _KEPT.extend([instance, functions, memory, references, mutex])
-    arrays = _Arrays(memory, references, mutex)
+    _KEPT.extend([instance, functions, memory, references])
+    arrays = _Arrays(memory, references)
     value, slope = _compiled(
         functions, instance.component, (nx, nu, ny, len(own)), arrays, by_derivative
     )
@@ -186,11 +183,6 @@ def _functions(instance: Instance) -> dict[str, Any]:
         "derivative": ("GetDirectionalDerivative", by_direction),
     }
     functions = {key: instance.function(name, *types_) for key, (name, types_) in names.items()}
-    process = ctypes.CDLL(None)
-    for name in ("lock", "unlock"):
-        functions[name] = ctypes.CFUNCTYPE(ctypes.c_int, pointer)(
-            (f"pthread_mutex_{name}", process)
-        )
     return functions | {"version": instance.description.version}
 
 
@@ -211,19 +203,17 @@ def by_reference(
     return put, njit(lambda address: get_reals(component, outs, ny, address, ny), nogil=True)
 
 
-def _by_direction(f: dict[str, Any], component: int, unknown: int, m: int) -> Any:
-    """What writes to an address the derivatives of m unknowns by the variable whose reference
+def _by_direction(f: dict[str, Any], component: int) -> Any:
+    """What writes to an address the derivatives of so many unknowns by the variable whose reference
     stands at another one, for a seed.
     """
     derivative = f["derivative"]
     if f["version"] == 2:
         return njit(
-            lambda known, seed, to: derivative(component, unknown, m, known, 1, seed, to),
-            nogil=True,
+            lambda of, m, by, seed, to: derivative(component, of, m, by, 1, seed, to), nogil=True
         )
     return njit(
-        lambda known, seed, to: derivative(component, unknown, m, known, 1, seed, 1, to, m),
-        nogil=True,
+        lambda of, m, by, seed, to: derivative(component, of, m, by, 1, seed, 1, to, m), nogil=True
     )
 
 
@@ -235,28 +225,33 @@ def _compiled(  # noqa: C901, PLR0915  compiled functions that share what they c
     by_derivative: npt.NDArray[np.bool_],
 ) -> Any:
     """The two functions that generated code calls."""
-    memory, references, mutex = arrays
+    memory, references = arrays
     nx, nu, ny, _ = sizes
     n = 1 + nx + nu + sizes[3]
     m = nx + ny
     set_time = f["time"]
     set_states = f["states"]
     rates = f["rates"]
-    lock = f["lock"]
-    unlock = f["unlock"]
     # Offsets in bytes: value references are 4 bytes each, doubles 8.
     at = memory.ctypes.data
-    guard = mutex.ctypes.data
     ins = references.ctypes.data
     outs = ins + 4 * nu
     unknowns = ins + 4 * (nu + ny)
     knowns = unknowns + 4 * m
     room = memory.size
+    # Where in the memory these stand.
+    point = n + m
+    table = point + n
+    high = table + m * n
+    low = high + m
+    seed = low + m
+    of_last = seed + 1
+    of_slopes = of_last + 3
     exact = tuple(map(bool, by_derivative))
 
     # Which of two signatures a call has depends on the version of FMI: settled before compiling.
     put, take = by_reference(f, component, (ins, nu), (outs, ny))
-    differentiate = _by_direction(f, component, unknowns, m)
+    differentiate = _by_direction(f, component)
 
     @njit(nogil=True)
     def place(point):
@@ -269,17 +264,19 @@ def _compiled(  # noqa: C901, PLR0915  compiled functions that share what they c
         return status
 
     @njit(nogil=True)
-    def ask(point, values):
-        """The FMU's rates and outputs at a point, both of them addresses; nan where it refuses."""
-        v = carray(_doubles(values), m)
-        status = place(point)
-        if nx > 0:
-            status = max(status, rates(component, values, nx))
-        status = max(status, take(values + 8 * nx))
+    def read(outputs, values):
+        """The rates or the outputs where the FMU is, to the address of all values."""
+        if outputs:
+            return take(values + 8 * nx)
+        return rates(component, values, nx)
+
+    @njit(nogil=True)
+    def ask(outputs, to, status, values):
+        """What was read, into an array at the same address; nan where the FMU refuses."""
         # A discarded or failed call leaves numbers of another point.
-        if status > ACCEPTED:
-            for k in range(m):
-                v[k] = np.nan
+        if max(status, read(outputs, to)) > ACCEPTED:
+            for k in range(nx if outputs else 0, m if outputs else nx):
+                values[k] = np.nan
 
     @njit(nogil=True)
     def same(a, b):
@@ -292,60 +289,65 @@ def _compiled(  # noqa: C901, PLR0915  compiled functions that share what they c
     def value(k, given):
         a = carray(given, n)
         cache = carray(_doubles(at), room)
-        lock(guard)
+        outputs = k >= nx
         if not same(a, cache):
             for i in range(n):
                 cache[i] = a[i]
-            ask(at, at + 8 * n)
-        entry = cache[n + k]
-        unlock(guard)
-        return entry
+            cache[of_last] = cache[of_last + 1] = 0.0
+            cache[of_last + 2] = 0.0
+        if cache[of_last + outputs] != 1.0:
+            status = 0
+            if cache[of_last + 2] != 1.0:
+                status = place(at)
+                cache[of_last + 2] = 1.0 if status <= ACCEPTED else 0.0
+            ask(outputs, at + 8 * n, status, cache[n:])
+            cache[of_last + outputs] = 1.0
+        return cache[n + k]
 
     @njit(nogil=True)
-    def column(j, cache):
-        """Slopes by argument j at the point of the slopes."""
-        point = n + m
-        table = 3 * n + m
-        high = table + m * n
-        low = table + m * n + m
-        seed = low + m
+    def column(j, outputs, cache):
+        """Slopes by argument j at the point of the slopes, of rates or of outputs."""
+        first = nx if outputs else 0
+        last = m if outputs else nx
+        cache[of_last + 2] = 0.0
         if exact[j]:
             cache[seed] = 1.0
             status = place(at + 8 * point)
-            by_one = differentiate(knowns + 4 * (j - 1), at + 8 * seed, at + 8 * high)
+            by_one = differentiate(
+                unknowns + 4 * first,
+                last - first,
+                knowns + 4 * (j - 1),
+                at + 8 * seed,
+                at + 8 * (high + first),
+            )
             accepted = max(status, by_one) <= ACCEPTED
-            for r in range(m):
+            for r in range(first, last):
                 cache[table + j * m + r] = cache[high + r] if accepted else np.nan
             return
         middle = cache[point + j]
         h = _STEP * (1.0 + abs(middle))
         cache[point + j] = middle + h
-        ask(at + 8 * point, at + 8 * high)
+        ask(outputs, at + 8 * high, place(at + 8 * point), cache[high:])
         cache[point + j] = middle - h
-        ask(at + 8 * point, at + 8 * low)
+        ask(outputs, at + 8 * low, place(at + 8 * point), cache[low:])
         cache[point + j] = middle
-        for r in range(m):
+        for r in range(first, last):
             cache[table + j * m + r] = (cache[high + r] - cache[low + r]) / (2.0 * h)
 
     @cfunc("float64(int64, int64, CPointer(float64))", nopython=True)
     def slope(k, j, given):
         a = carray(given, n)
         cache = carray(_doubles(at), room)
-        point = n + m
-        known = 2 * n + m
-        table = 3 * n + m
-        lock(guard)
+        outputs = k >= nx
         if not same(a, cache[point:]):
             for i in range(n):
                 cache[point + i] = a[i]
-                cache[known + i] = 0.0
+                cache[of_slopes + 2 * i] = cache[of_slopes + 2 * i + 1] = 0.0
         # A column is computed when it is first asked for at a point.
-        if cache[known + j] != 1.0:
-            column(j, cache)
-            cache[known + j] = 1.0
-        entry = cache[table + j * m + k]
-        unlock(guard)
-        return entry
+        if cache[of_slopes + 2 * j + outputs] != 1.0:
+            column(j, outputs, cache)
+            cache[of_slopes + 2 * j + outputs] = 1.0
+        return cache[table + j * m + k]
 
     return value, slope
 

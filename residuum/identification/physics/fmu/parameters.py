@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
+from types import MappingProxyType
 
 import numpy as np
 
@@ -26,10 +27,22 @@ side by side each for theirs.
 
 
 class ExchangedParameters:
-    """Parameters of an FMU whose rates the model's equations call."""
+    """Parameters of an FMU whose rates the model's equations call: the FMU takes those of these
+    `names` from the model, and those that are `held` at values; all others keep its own.
 
-    def __init__(self, library: LoadedLibrary) -> None:
+    A model may have more: a value that a search doubts moves the outputs beside the FMU, which
+    keeps the one that it has.
+    """
+
+    def __init__(
+        self,
+        library: LoadedLibrary,
+        names: Collection[str],
+        held: Mapping[str, float] = MappingProxyType({}),
+    ) -> None:
         self.library = library
+        self.names = names
+        self.held = held
         self.lock = library.instance.lock
         self.steps: Mapping[str, Step] = {}
 
@@ -53,7 +66,8 @@ class ExchangedParameters:
 
     def settle(self, values: Mapping[str, float]) -> bool:
         """Begin the FMU anew where its parameters change."""
-        return self.library.settle(values)
+        taken = {name: value for name, value in values.items() if name in self.names}
+        return self.library.settle({**self.held, **taken})
 
     def along(
         self, experiments: Sequence[Experiment], values: Mapping[str, float]

@@ -11,15 +11,16 @@ import hashlib
 import shutil
 import tempfile
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import astuple, dataclass, replace
 from functools import cache
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 from residuum.identification.errors import BadModel
 from residuum.identification.physics.effects.base import Parameter
 from residuum.identification.physics.fmu.description import Description, describe
-from residuum.identification.physics.fmu.fmu_model import exchange_model
+from residuum.identification.physics.fmu.fmu_model import exchange_model, names_of
 from residuum.identification.physics.fmu.instance import instance_of
 from residuum.identification.physics.fmu.loaded_library import library_of
 from residuum.identification.physics.fmu.parameter_file import (
@@ -30,26 +31,26 @@ from residuum.identification.physics.fmu.parameter_file import (
     text,
 )
 from residuum.identification.physics.fmu.parameters import ExchangedParameters
+from residuum.identification.physics.fmu.permission import check_size
 from residuum.identification.physics.foreign import Foreign
 from residuum.identification.physics.model import EffectUse, PhysicalModel
 from residuum.identification.physics.simulate.differences import Step
-
-LARGEST = 64 << 20
-"""Bytes of an FMU that a baseline holds: more is data, or libraries for platforms that no machine
-of the plant has.
-"""
 
 
 def exchanged_model(
     described: Description,
     parameters: Mapping[str, Parameter],
     effects: Sequence[EffectUse] = (),
+    held: Mapping[str, float] = MappingProxyType({}),
 ) -> PhysicalModel:
-    """The model of an FMU with model exchange, of which these parameters can be moved."""
+    """The model of an FMU with model exchange, of which these parameters can be moved; others are
+    `held` at values.
+    """
     free = tuple(name for name, parameter in parameters.items() if not parameter.fixed)
     library = library_of(instance_of(described), free)
     physical = exchange_model(library, parameters)
-    return replace(physical, effects=tuple(effects), foreign=ExchangedParameters(library))
+    foreign = ExchangedParameters(library, frozenset(parameters), held)
+    return replace(physical, effects=tuple(effects), foreign=foreign)
 
 
 def watched_model(named: Named) -> PhysicalModel:
@@ -100,19 +101,13 @@ class WatchedFmu:
     @classmethod
     def of(cls, foreign: Foreign[Any]) -> WatchedFmu:
         """That of a model; BadModel where it is too large."""
-        size = foreign.file.stat().st_size
-        if size > LARGEST:
-            raise BadModel(
-                f"model {foreign.description.path!r}: has {size >> 20} MiB; a baseline holds its"
-                f" FMU, of at most {LARGEST >> 20} MiB: export it without data and sources, for"
-                " the platforms that judge"
-            )
+        check_size(foreign.file, foreign.description.path)
         return cls(foreign.file.read_bytes(), foreign.steps)
 
     @property
     def said(self) -> dict[str, Any]:
         """What is written of it beside its bytes."""
-        steps = {name: [step.relative, step.size, step.error] for name, step in self.steps.items()}
+        steps = {name: list(astuple(step)) for name, step in self.steps.items()}
         return {"sha256": hashlib.sha256(self.content).hexdigest(), "steps": steps}
 
     @classmethod
@@ -122,18 +117,40 @@ class WatchedFmu:
         """
         if hashlib.sha256(content).hexdigest() != said["sha256"]:
             raise BadModel(f"{source}: the FMU in it is not the one that it was trained with")
-        steps = {name: Step(*map(float, step)) for name, step in said["steps"].items()}
+        steps = {
+            name: Step(float(relative), float(size), float(error), bool(one_sided))
+            for name, (relative, size, error, one_sided) in said["steps"].items()
+        }
         return cls(content, steps)
 
     def model(self, written: str, source: str) -> PhysicalModel:
         """The model that a text makes of it: loads its library."""
-        file = _folder() / f"{hashlib.sha256(self.content).hexdigest()[:16]}.fmu"
-        if not file.exists():
-            file.write_bytes(self.content)
-        physical = watched_model(named_in(written, source, describe(file)))
+        physical = watched_model(named_in(written, source, describe(_at_hand(self.content))))
         foreign: Any = physical.foreign
         foreign.steps = self.steps
         return physical
+
+
+def watched_content(content: bytes, name: str) -> PhysicalModel:
+    """The model that a machine is watched by, of an FMU that is stored by this name; its library is
+    loaded. BadModel as `watched_model`.
+    """
+    described = replace(describe(_at_hand(content)), name=name)
+    return replace(watched_model(Named(described)), name=name)
+
+
+def signals_of(content: bytes) -> tuple[str, ...]:
+    """Names of the inputs and outputs of an FMU that is stored; nothing of it is loaded."""
+    _, inputs, outputs = names_of(describe(_at_hand(content)))
+    return (*inputs, *outputs)
+
+
+def _at_hand(content: bytes) -> Path:
+    """A file with it, while this process lives."""
+    file = _folder() / f"{hashlib.sha256(content).hexdigest()[:16]}.fmu"
+    if not file.exists():
+        file.write_bytes(content)
+    return file
 
 
 @cache

@@ -132,9 +132,10 @@ class Filter:
             steps,
             experiment.hold,
         )
-        z, P, F, H, e, V, filtered = kalman_filter(
-            self.simulator.kernel.system, experiment.U, experiment.Y, p, *arguments
-        )
+        with self.simulator.settled(p):
+            z, P, F, H, e, V, filtered = kalman_filter(
+                self.simulator.kernel.system, experiment.U, experiment.Y, p, *arguments
+            )
         Z, variance = (
             adjoint_smoother(z, P, F, H, e, V) if smooth else (filtered, np.zeros_like(filtered))
         )
@@ -154,10 +155,11 @@ class Filter:
         in the first `steps` rows.
         """
         system = self.simulator.kernel.system
+        p = self.simulator.p()
         arguments = (self.columns, steps, experiment.sample_time, substeps, experiment.hold)
-        return np.asarray(
-            predict_ahead(system, experiment.U, smoothed.filtered, self.simulator.p(), *arguments)
-        )
+        with self.simulator.settled(p):
+            Y = predict_ahead(system, experiment.U, smoothed.filtered, p, *arguments)
+        return np.asarray(Y)
 
     def _covariances(self, experiment: Experiment, scale: Array) -> tuple[Array, Array]:
         """Initial covariance wide enough for any start, and process noise: the walks, and a trace
@@ -299,7 +301,7 @@ def missing_terms(
 
 def _log_likelihood(experiment: Experiment, e: Array, V: Array) -> float:
     used = np.isfinite(e)
-    # A reading without an innovation: the filter diverged before it.
-    if int(used.sum()) < int(np.isfinite(experiment.Y).sum()):
+    # A reading without an innovation, or with a variance that is none: the filter diverged before it.
+    if int(used.sum()) < int(np.isfinite(experiment.Y).sum()) or not (V[used] > 0.0).all():
         return -np.inf
     return float(-0.5 * np.sum(e[used] ** 2 / V[used] + np.log(2.0 * np.pi * V[used])))

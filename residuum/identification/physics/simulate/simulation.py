@@ -17,7 +17,6 @@ from residuum.identification.errors import BadModel
 from residuum.identification.physics.compile.kernel import Kernel, kernel_of
 from residuum.identification.physics.files.expression import Expression, evaluate
 from residuum.identification.physics.simulate import integration
-from residuum.identification.physics.simulate.differences import central
 from residuum.identification.physics.simulate.experiment import Experiment, means_in_blocks
 from residuum.identification.work import count_samples
 
@@ -344,7 +343,7 @@ class Simulator:
         def outputs(at: Array) -> Array:
             return self._simulated(self._joined(experiments, at), x0, at, steps, none)[1]
 
-        self._difference(dY, slopes, p, outputs)
+        self._difference(dY, Y, slopes, p, outputs)
         if not self.possible(p):
             X, Y, dY = (np.full_like(values, np.nan) for values in (X, Y, dY))
         for k, e in enumerate(experiments):
@@ -364,7 +363,12 @@ class Simulator:
         return Joined.of(experiments)
 
     def _difference(
-        self, dY: Array, slopes: Sequence[str], p: Array, outputs: Callable[[Array], Array]
+        self,
+        dY: Array,
+        Y: Array,
+        slopes: Sequence[str],
+        p: Array,
+        outputs: Callable[[Array], Array],
     ) -> None:
         """Write the slopes by parameters that no equation names: differences of whole
         simulations.
@@ -380,10 +384,7 @@ class Simulator:
             def run(value: float, k: int = k) -> Array:
                 return outputs(np.where(np.arange(len(p)) == k, value, p))
 
-            value = float(p[k])
-            dY[:, :, column] = central(
-                run, value, steps[name].of(value), (bounds.lower, bounds.upper)
-            )
+            dY[:, :, column] = steps[name].slope(run, float(p[k]), Y, (bounds.lower, bounds.upper))
 
     def _simulated(
         self, joined: Joined, initial: Array, p: Array, substeps: Integers, columns: Integers
@@ -392,7 +393,7 @@ class Simulator:
         at = joined
         # Columns cost about as much as the states: counted so, work is alike on all machines.
         count_samples(int(np.diff(at.starts) @ substeps) * (1 + len(columns)))
-        with self._settled(p) as settled:
+        with self.settled(p) as settled:
             X, Y, dY = integration.simulate(
                 q,
                 at.U,
@@ -411,9 +412,9 @@ class Simulator:
         return X, Y, dY
 
     @contextmanager
-    def _settled(self, p: Array) -> Iterator[bool]:
+    def settled(self, p: Array) -> Iterator[bool]:
         """While what is foreign has these parameters, and nobody else uses it; whether it took
-        them.
+        them. Held by whoever evaluates the kernel.
         """
         if (foreign := self.model.foreign) is None:
             yield True
@@ -430,7 +431,7 @@ class Simulator:
         """Every signal (defined variables, `balance.term`, `storage:balance`, `drive:balance`)
         along the states X.
         """
-        with self._settled(self.p(values)):
+        with self.settled(self.p(values)):
             Z = integration.evaluate_signals(*self._along(experiment, X, values))
         return {name: Z[:, k] for k, name in enumerate(self.kernel.signals)}
 
@@ -438,7 +439,7 @@ class Simulator:
         self, experiment: Experiment, X: Array, values: Mapping[str, float] | None = None
     ) -> Array:
         """Outputs along the states X, shape (n, outputs)."""
-        with self._settled(self.p(values)):
+        with self.settled(self.p(values)):
             return np.asarray(integration.evaluate_outputs(*self._along(experiment, X, values)))
 
     def rate_slopes(self, experiment: Experiment, X: Array, samples: Integers) -> Array:
@@ -448,7 +449,7 @@ class Simulator:
         system = self.kernel.system
         X = np.ascontiguousarray(X)
         times = (joined.sample_times, joined.holds)
-        with self._settled(p):
+        with self.settled(p):
             A = integration.rate_slopes(
                 system, joined.U, joined.starts, X, p, *times, samples[None]
             )
@@ -586,7 +587,7 @@ class Simulator:
         infinite where none is finite.
         """
         finite = np.all(np.isfinite(X[joined.starts[:-1, None] + samples]), axis=2)
-        with self._settled(p):
+        with self.settled(p):
             A = integration.rate_slopes(
                 self.kernel.system,
                 joined.U,

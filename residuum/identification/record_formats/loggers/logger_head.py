@@ -3,6 +3,7 @@ slash.
 """
 
 import re
+from functools import lru_cache
 
 from residuum.identification.unit_spellings import is_spelled
 
@@ -39,6 +40,8 @@ def unit_word(text: str) -> str:
     return _WORDS.get(text.lower().removesuffix("s"), text)
 
 
+# kept: each of a history's windows asks for those of the same columns
+@lru_cache(maxsize=4096)
 def is_unit(text: str) -> bool:
     """Whether a text is certainly a unit: products and powers of known symbols.
 
@@ -54,6 +57,7 @@ def is_unit(text: str) -> bool:
     return bool(text.strip()) and all(_ATOM.fullmatch(part) for part in parts)
 
 
+@lru_cache(maxsize=4096)
 def unit_of_head(cell: str) -> tuple[str, str]:
     """Name and unit of a head; what stands in parentheses is one only where it certainly is a unit.
 

@@ -41,6 +41,8 @@ def without_overloads(record: Record) -> Record:
 def without_marks(record: Record, cells: Sequence[str]) -> Record:
     """The record without the numbers among `cells`, which somebody said mean no value."""
     marks = [float(cell) for cell in cells if _NUMBER.fullmatch(cell.strip())]
+    if not marks:
+        return record
     channels, notes = dict(record.channels), list(record.notes)
     for name, signal in record.channels.items():
         if (marked := np.isin(signal, np.array(marks, dtype=signal.dtype))).any():
@@ -49,7 +51,7 @@ def without_marks(record: Record, cells: Sequence[str]) -> Record:
                 f"{NO_VALUE}{name}: {int(marked.sum())} samples of {signal[marked][0]:.10g}, as was"
                 " said"
             )
-    return replace(record, channels=channels, notes=tuple(notes)) if marks else record
+    return replace(record, channels=channels, notes=tuple(notes))
 
 
 def without_overload(name: str, signal: Signal) -> tuple[Signal, list[str]]:

@@ -170,12 +170,18 @@ class CanSource(Source):
             self.health.count("undecodable", batch.undecodable, "a frame that cannot be unpacked")
         for frame_id, arrays in batch.frames.items():
             layout = self._matching.get(frame_id)
-            for frames in arrays:
-                if layout is not None and layout.bus_id in self._places:
-                    if self._is_meant(layout, frame_id, len(frames)):
-                        self._take_samples(layout, frames)
-                elif layout is self._state and layout is not None and layout.fits(frames.shape[1]):
-                    self._take_state(layout, frames)
+            if layout is not None:
+                for frames in arrays:
+                    self._take_frames(layout, frame_id, frames)
+
+    def _take_frames(
+        self, layout: FrameLayout, frame_id: int, frames: npt.NDArray[np.uint8]
+    ) -> None:
+        if layout.bus_id in self._places:
+            if self._is_meant(layout, frame_id, len(frames)):
+                self._take_samples(layout, frames)
+        elif layout is self._state and layout.fits(frames.shape[1]):
+            self._take_state(layout, frames)
 
     def _is_meant(self, layout: FrameLayout, frame_id: int, frames: int) -> bool:
         """Whether frames of a message are of the device that is meant: of J1939 the one that the

@@ -20,11 +20,17 @@ from cantools.database.errors import Error as DatabaseError
 # 0xFB00, 0xFB000000 on, binary 10 and 11 of two bits, 0xE and 0xF of four. Other buses send all
 # ones, or the ends of a signed number. Whatever the scaling, such a number is one only if its
 # value lies outside of the range that the DBC file declares; where the file calls a message
-# J1939's and declares no range it always is. A value table may name one.
+# J1939's and declares no range it always is. There an error (0xFE…) and what is not available
+# (0xFF…) are none of a number of 8 bits and more also where the range holds all that the bits do.
+# A value table may name one.
 
 _NAMED = re.compile(
     r"(?i)\b(sna|n/a|not avail\w*|unavailable|no value|signal invalid|invalid signal)\b"
 )
+# First bits of what J1939 reserves, of an error, and of what is not available.
+_TOPS = (0xFB, 0xFE, 0xFF)
+# What J1939 reserves of fewer bits.
+_FEW_BITS = {2: 0b10, 4: 0xE}
 J1939 = "j1939"
 
 
@@ -74,19 +80,23 @@ def _reserved(signal: Any, j1939: bool, extended: bool) -> Sequence[tuple[int, i
     if signal.is_signed:
         ends = [(sign, -sign), (sign - 1, sign - 1)] if bits >= 8 else []
         return [(raw, raw) for raw, number in ends if _declared(signal, number) is False]
-    # J1939 (extended frames) reserves the top of a range, other buses the last number alone
-    last_alone = all_ones if bits >= 8 else None
-    first = _first_reserved(bits) if extended else last_alone
-    if first is None:
+    if bits < 8 or not extended:
+        # other buses send all ones; J1939's two and four bits are values where the file says so
+        first = _FEW_BITS.get(bits) if extended else (all_ones if bits >= 8 else None)
+        return [(first, all_ones)] if first is not None and _is_code(signal, first, j1939) else []
+    starts = [top << (bits - 8) for top in _TOPS]
+    beyond = [start for start in starts if _declared(signal, start) is False]
+    if beyond:
+        return [(beyond[0], all_ones)]
+    if not j1939:
         return []
-    within = _declared(signal, first)
-    return [(first, all_ones)] if within is False or (j1939 and within is None) else []
+    # a range of all that the bits hold is written by tools, and makes no number of an error code
+    return [(starts[_declared(signal, all_ones) is True], all_ones)]
 
 
-def _first_reserved(bits: int) -> int | None:
-    if bits >= 8:
-        return 0xFB << (bits - 8)
-    return {2: 0b10, 4: 0xE}.get(bits)
+def _is_code(signal: Any, number: int, j1939: bool) -> bool:
+    within = _declared(signal, number)
+    return within is False or (j1939 and within is None)
 
 
 def _declared(signal: Any, number: int) -> bool | None:

@@ -125,26 +125,29 @@ def _other_sources(known: FrameMatching, senders: Iterable[int]) -> dict[int, st
     """Senders of J1939 messages that are not read, and why: another device is meant, or of several
     nothing says which one.
     """
-    by_name: dict[str, list[int]] = {}
+    # by the message that they are of, which stands once in the file
+    senders_of: dict[FrameLayout, list[int]] = {}
     for sender in senders:
         layout = known.get(sender)
         if layout is not None and layout.is_j1939 and layout.source_address is None:
-            by_name.setdefault(layout.name, []).append(sender)
+            senders_of.setdefault(layout, []).append(sender)
     others: dict[int, str] = {}
-    for found in by_name.values():
-        layout = known.get(found[0])
-        if layout is None or len(found) == 1:
-            continue
-        sources = [source_of(sender) for sender in found]
-        says = several_sources(layout, sources)
-        if layout.own_source in sources:
-            says = f"message {layout.name}: source address 0x{layout.own_source:02X} is read"
-        others |= {
-            sender: says
-            for sender, source in zip(found, sources, strict=True)
-            if source != layout.own_source
-        }
+    for layout, found in senders_of.items():
+        if len(found) > 1:
+            others |= _not_meant(layout, found)
     return others
+
+
+def _not_meant(layout: FrameLayout, senders: Sequence[int]) -> dict[int, str]:
+    sources = [source_of(sender) for sender in senders]
+    says = several_sources(layout, sources)
+    if layout.own_source in sources:
+        says = f"message {layout.name}: source address 0x{layout.own_source:02X} is read"
+    return {
+        sender: says
+        for sender, source in zip(senders, sources, strict=True)
+        if source != layout.own_source
+    }
 
 
 def _of_layout(layout: FrameLayout, frames: Sequence[TimedFrame]) -> list[TimedFrame]:
@@ -402,19 +405,23 @@ def _streams(frames: Sequence[TimedFrame], time: Samples, known: FrameMatching) 
     streams = []
     for sender, where in places.items():
         steps = np.diff(time[where])
+        layout = known.get(sender)
         # two frames have one step, which the clock itself may have made
-        if len(where) < 3 or not (steps > 0).any():
-            continue
-        layout, counter = known.get(sender), None
-        if layout is None:
-            continue
-        if layout.counter_bits:
-            counter = layout.decode(_bytes_of(layout, [frames[place] for place in where]))[0]
-        period = layout.sample_time * layout.samples or float(np.median(steps[steps > 0]))
-        streams.append(
-            _Stream(layout.name, np.array(where), period, counter, 1 << layout.counter_bits)
-        )
+        if layout is not None and len(where) > 2 and (steps > 0).any():
+            of_sender = [frames[place] for place in where]
+            streams.append(_stream(layout, np.array(where), of_sender, steps))
     return streams
+
+
+def _stream(
+    layout: FrameLayout,
+    places: npt.NDArray[np.intp],
+    frames: Sequence[TimedFrame],
+    steps: Samples,
+) -> _Stream:
+    counter = layout.decode(_bytes_of(layout, frames))[0] if layout.counter_bits else None
+    period = layout.sample_time * layout.samples or float(np.median(steps[steps > 0]))
+    return _Stream(layout.name, places, period, counter, 1 << layout.counter_bits)
 
 
 def _suspects(time: Samples, period: float) -> list[int]:

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from contextlib import suppress
 from typing import Any
 
@@ -97,8 +97,10 @@ class MqttSource(BrokerSource):
         filters = [topic for topic in self._topics if _matches(topic, message.topic)]
         believed = {topic for topic in filters if self._is_of(topic, message.topic)}
         content = self._content(message) if believed else NOTHING
-        if content is NOTHING:
-            return
+        if content is not NOTHING:
+            self._take_content(believed, content, message)
+
+    def _take_content(self, believed: Collection[str], content: Any, message: Arrived) -> None:
         for name, stream in self._map.streams.items():
             channels = [c for c in stream.channels if stream.topic_of(c) in believed]
             if channels:

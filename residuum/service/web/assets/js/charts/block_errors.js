@@ -41,4 +41,4 @@ export function drawBlockErrors(chart, { blocks, outputs }, name, titles) {
   });
 }
 
-export const blockErrorsChart = (label) => h("div", { class: "chart", role: "img", "aria-label": label });
+export const blockErrorsChart = (label) => h("div", { class: "chart", role: "figure", "aria-label": label });

@@ -98,4 +98,4 @@ export async function drawCloud(chart, view, of, axisName, { curves = [], interv
   }
 }
 
-export const cloudChart = (label) => h("div", { class: "chart cloud", role: "img", "aria-label": label });
+export const cloudChart = (label) => h("div", { class: "chart cloud", role: "figure", "aria-label": label });

@@ -9,7 +9,7 @@ import { draw, series, signalTraces } from "./charts.js";
 export function overlay(output, unit, models, { range = null, onRange = () => {} } = {}) {
   const chart = h("div", {
     class: "chart overlay",
-    role: "img",
+    role: "figure",
     "aria-label": `${output}: measured and simulated, residual below`,
   });
   const shown = inBrackets(unit);

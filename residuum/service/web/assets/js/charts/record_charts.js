@@ -9,7 +9,7 @@ const AT_ONCE = 6; // channels that are drawn without being asked for
 const POINTS = 1000;
 
 function strip(record, name) {
-  const chart = h("div", { class: "chart strip", role: "img", "aria-label": `${name} of record ${record.id}` });
+  const chart = h("div", { class: "chart strip", role: "figure", "aria-label": `${name} of record ${record.id}` });
   let asking = new AbortController();
 
   async function update(range) {

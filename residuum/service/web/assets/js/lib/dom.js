@@ -22,13 +22,17 @@ function append(element, children) {
   }
 }
 
+// Where places are scrolled to, as they tell it: asked for it while a page changes, a browser lays out the whole page at once.
+const scrolledTo = new WeakMap();
+document.addEventListener("scroll", ({ target }) => scrolledTo.set(target, target.scrollTop), true);
+
 // Replace what a place shows, and keep the keyboard where it was (elements are found again by data-key).
 export function show(place, ...children) {
   const key = place.contains(document.activeElement) ? document.activeElement.dataset.key : undefined;
-  const scrolled = place.scrollTop;
+  const scrolled = scrolledTo.get(place);
   place.replaceChildren();
   append(place, children);
-  place.scrollTop = scrolled;
+  if (scrolled) place.scrollTop = scrolled;
   if (key)
     [...place.querySelectorAll("[data-key]")].find((element) => element.dataset.key === key)?.focus({ preventScroll: true });
 }

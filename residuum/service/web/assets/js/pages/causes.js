@@ -140,7 +140,7 @@ function drawPicture(place, { now, healthy }) {
   const wanted = pairs.filter(([curve]) => pairs.findIndex(([other]) => other.of === curve.of) >= 0).slice(0, 4);
   if (!wanted.length) return show(place, h("p", { class: "empty" }, "Nothing can be drawn of this window."));
   const charts = wanted.map(([curve]) =>
-    h("div", { class: "chart", role: "img", "aria-label": `What ${curve.of} lacks along ${curve.axis}` }),
+    h("div", { class: "chart", role: "figure", "aria-label": `What ${curve.of} lacks along ${curve.axis}` }),
   );
   show(place, h("p", { class: "muted" }, "Solid: the window of now. Dashed: healthy windows, with their band."), charts);
   const [blue, orange] = series();

@@ -326,7 +326,7 @@ function drawDesign(place, view, limits, point, pick) {
   choose(wanted in view.points ? wanted : view.chosen);
 }
 
-const chart = (label, kind = "chart tall") => h("div", { class: kind, role: "img", "aria-label": label });
+const chart = (label, kind = "chart tall") => h("div", { class: kind, role: "figure", "aria-label": label });
 
 function promises(view, point, index) {
   const fact = (name, value) => h("div", {}, h("dt", {}, name), h("dd", {}, value));

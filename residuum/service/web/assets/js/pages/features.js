@@ -14,8 +14,8 @@ const WIDEST = 8;
 
 // `update(history)` is told the indicators of the newest windows.
 export function featurePanels(asset) {
-  const plane = h("div", { class: "chart tall", role: "img", "aria-label": "Feature plane" });
-  const boxes = h("div", { class: "chart tall", role: "img", "aria-label": "Quadrant boxes" });
+  const plane = h("div", { class: "chart tall", role: "figure", "aria-label": "Feature plane" });
+  const boxes = h("div", { class: "chart tall", role: "figure", "aria-label": "Quadrant boxes" });
   const across = h("select", { "aria-label": "Indicator across", "data-key": "plane-x", onchange: () => redraw() });
   const up = h("select", { "aria-label": "Indicator up", "data-key": "plane-y", onchange: () => redraw() });
   const of = h("select", { "aria-label": "Indicator of the boxes", "data-key": "boxes-of", onchange: () => redraw() });

@@ -157,8 +157,8 @@ async function drawModel(place, model, bench, signal) {
   const response = await call(`${path("models", model.stored.model, "frequency-response")}?version=${model.stored.version}`, {
     signal,
   });
-  const impulse = h("div", { class: "chart", role: "img", "aria-label": "Impulse response" });
-  const bode = h("div", { class: "chart overlay", role: "img", "aria-label": "Bode diagram" });
+  const impulse = h("div", { class: "chart", role: "figure", "aria-label": "Impulse response" });
+  const bode = h("div", { class: "chart overlay", role: "figure", "aria-label": "Bode diagram" });
   const fits = (values) => values.map((fit) => (fit === null ? "–" : percent(fit / 100))).join(", ");
   const fact = (name, value) => h("div", {}, h("dt", {}, name), h("dd", {}, value));
   show(

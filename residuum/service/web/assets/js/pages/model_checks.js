@@ -5,7 +5,7 @@ import { call, path } from "../lib/api.js";
 import { h, notify, panel } from "../lib/dom.js";
 import { number, percent } from "../lib/format.js";
 
-const chart = (label) => h("div", { class: "chart tall", role: "img", "aria-label": label });
+const chart = (label) => h("div", { class: "chart tall", role: "figure", "aria-label": label });
 const half = (title, aside, ...body) =>
   h(
     "section",

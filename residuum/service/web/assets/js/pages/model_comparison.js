@@ -27,7 +27,7 @@ export async function compareModels(place, asked, choose, leaving) {
   const stop = new AbortController();
   leaving.push(() => stop.abort());
   const found = [];
-  const chart = h("div", { class: "chart overlay", role: "img", "aria-label": "Bode diagrams of the models" });
+  const chart = h("div", { class: "chart overlay", role: "figure", "aria-label": "Bode diagrams of the models" });
   const list = h("div");
   let chosen = null;
   show(place, panel("Models side by side", `${asked.length} models, least error on new data first`, list, chart));

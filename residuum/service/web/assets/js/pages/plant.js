@@ -79,7 +79,7 @@ function card(asset, machine) {
       "header",
       {},
       h(
-        "h3",
+        "h2",
         {},
         h("a", { href: `#/machines/${encodeURIComponent(asset.id)}`, "data-key": `machine-${asset.id}` }, assetTitle(asset)),
       ),

@@ -67,7 +67,7 @@ function drawItems(place, asset, items, read) {
     }
   };
   const parts = items.map((item) => {
-    const chart = h("div", { class: "chart", role: "img", "aria-label": `${item.parameter} over time` });
+    const chart = h("div", { class: "chart", role: "figure", "aria-label": `${item.parameter} over time` });
     const limit = h("input", {
       type: "number",
       step: "any",

@@ -13,7 +13,7 @@ const KEPT = 500;
 export const SYMBOLS = { healthy: "circle", faulty: "triangle-up", "not-assessable": "diamond-open" };
 
 export function trendPanel(asset, told = () => {}) {
-  const chart = h("div", { class: "chart", role: "img", "aria-label": "Indicator over time" });
+  const chart = h("div", { class: "chart", role: "figure", "aria-label": "Indicator over time" });
   const select = h("select", { "aria-label": "Indicator", "data-key": "trend-indicator", onchange: () => redraw() });
   const period = h(
     "select",

@@ -10,7 +10,7 @@ import { recordTitles } from "../steps/record_step.js";
 
 const KEPT = "residual_"; // before the names of the residual's fields in the address
 const LEGEND = { showlegend: true, legend: { orientation: "h", y: 1.02, yanchor: "bottom", x: 0 } };
-const chart = (label, kind = "chart tall") => h("div", { class: kind, role: "img", "aria-label": label });
+const chart = (label, kind = "chart tall") => h("div", { class: kind, role: "figure", "aria-label": label });
 const part = (span, title, aside, ...body) =>
   h(
     "section",

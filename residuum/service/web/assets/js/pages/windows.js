@@ -17,7 +17,7 @@ const EXPLAIN = "Explain this window on the workbench";
 // `looked` is told the finding of a chosen window, null while the latest is followed.
 export function windowsPanel(asset, asked = null, looked = () => {}) {
   const list = h("div", { class: "picker", role: "group", "aria-label": "Windows" });
-  const signalChart = h("div", { class: "chart", role: "img", "aria-label": "Signal" });
+  const signalChart = h("div", { class: "chart", role: "figure", "aria-label": "Signal" });
   const pictures = h("div");
   const channel = h("select", { "aria-label": "Channel", "data-key": "channel", onchange: () => drawWindow() });
   const follow = h("input", {
@@ -190,7 +190,7 @@ export function windowsPanel(asset, asked = null, looked = () => {}) {
     const { title, address: noun, draw: drawPicture } = VIEWS[view.value];
     if (pictures.dataset.view !== view.value) {
       for (const chart of pictures.children) forget(chart);
-      show(pictures, h("div", { class: "chart", role: "img", "aria-label": title }));
+      show(pictures, h("div", { class: "chart", role: "figure", "aria-label": title }));
       pictures.dataset.view = view.value;
     }
     const found = await call(`${address}/${noun}?${query}`, { signal: stopped });

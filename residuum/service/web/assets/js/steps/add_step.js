@@ -97,7 +97,7 @@ async function drawModel(body, bench) {
   const all = [...new Set([key(bench.model, bench.version), ...versions, ...(bench.base ? [bench.base] : [])])];
   const before = all.includes(bench.shown.before) ? bench.shown.before : (previous(bench, versions) ?? bench.base);
   const overlaid = h("div");
-  const bars = h("div", { class: "chart", role: "img", "aria-label": "Error after every effect" });
+  const bars = h("div", { class: "chart", role: "figure", "aria-label": "Error after every effect" });
   const undo = previous(bench, versions) ?? bench.base;
   show(
     body,

@@ -41,7 +41,7 @@ function drawView(body, bench, view) {
   const of = terms.includes(bench.shown.of) ? bench.shown.of : (worstBalance(view) ?? terms[0]);
   const axis = axes.includes(bench.shown.axis) ? bench.shown.axis : naturalAxis(view);
   const chart = cloudChart(`${of} against ${axis}`);
-  const spectrum = h("div", { class: "chart", role: "img", "aria-label": "Residual over frequency" });
+  const spectrum = h("div", { class: "chart", role: "figure", "aria-label": "Residual over frequency" });
   const redraw = (change) => {
     bench.show(change);
     drawView(body, bench, view);

@@ -137,6 +137,9 @@ function looksLike({ suggestion: formula, unit, axis }) {
   return ` It looks like ${localised(formula.formula)} ${unitText(unit)}, z = ${axis} ÷ ${number(formula.largest)}.`;
 }
 
+const asMuchAs = ({ as_much_as: effects }) =>
+  effects.length ? `as much as ${effects.map(placed).join(" and ")}` : "more than an effect would";
+
 // What else the record says: further effects, terms outside the catalogue, drift, and how the record was taken.
 function notes(explanation, effects) {
   const titled = (id) => effects.get(id)?.title ?? id;
@@ -151,7 +154,7 @@ function notes(explanation, effects) {
     ...explanation.held_values.map(
       (each) =>
         `${each.name} is fixed at ${number(each.held)} ${unitText(each.unit)}; the record asks for ${measured(each)}, which ` +
-        "explains more than an effect would.",
+        `explains ${asMuchAs(each)}.`,
     ),
     ...(explanation.verdict === "adequate"
       ? []
@@ -187,12 +190,8 @@ function ranking(candidates, besides, effects, bench) {
           h("b", {}, effects.get(candidate.effect)?.title ?? candidate.effect),
           index < candidates.length ? null : h("span", { class: "small" }, " besides the first"),
           h("div", { class: "muted small" }, `in ${candidate.balance}: ${effects.get(candidate.effect)?.equation ?? ""}`),
-          candidate.indistinguishable_from.length
-            ? h(
-                "div",
-                { class: "small" },
-                `This record cannot tell it from ${candidate.indistinguishable_from.map(placed).join(", ")}.`,
-              )
+          candidate.rivals.length
+            ? h("div", { class: "small" }, `This record cannot tell it from ${candidate.rivals.map(placed).join(", ")}.`)
             : null,
           candidate.within_bounds ? null : h("div", { class: "small" }, "At a physical bound."),
         ),
@@ -351,7 +350,7 @@ async function drawCurves(place, bench, candidates) {
 
 // A group that the record cannot tell apart is named as one: the first of it is no likelier than the others.
 function headline(named, leading, effects) {
-  const alike = leading.indistinguishable_from.map((id) => effects.get(id.split("@")[0])?.title ?? id);
+  const alike = leading.rivals.map((id) => effects.get(id.split("@")[0])?.title ?? id);
   if (!alike.length) return `Most probably ${named}, ${percent(leading.probability)}.`;
   const together = Math.min(1, leading.probability * (1 + alike.length));
   return `Most probably ${named} or ${alike.join(" or ")}, together ${percent(together)}: this record cannot tell them apart.`;

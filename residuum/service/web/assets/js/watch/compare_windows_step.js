@@ -2,10 +2,9 @@
 
 import { call, path } from "../lib/api.js";
 import { h, notify, once, panel, show } from "../lib/dom.js";
-import { effectTitle } from "../lib/effect_titles.js";
 import { number, percent, quantity } from "../lib/format.js";
 import { runIn } from "../lib/jobs.js";
-import { badge } from "../lib/parts.js";
+import { badge, placed } from "../lib/parts.js";
 import { tableHead } from "../lib/table_head.js";
 import { structured } from "../steps/compare_step.js";
 
@@ -89,7 +88,7 @@ function drawImproved(place, way, found) {
     h(
       "li",
       {},
-      each.added ? `${effectTitle(each.added)} added: ` : "at first: ",
+      each.added ? `${placed(each.at ? `${each.added}@${each.at}` : each.added)} added: ` : "at first: ",
       `error ${each.error === null ? "–" : quantity(each.error, found.error_unit)}`,
     );
   const use = once(async () => {

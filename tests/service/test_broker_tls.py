@@ -16,14 +16,13 @@ from benchmarks.certificates import certificate_and_key
 from residuum.diagnosis.finding import Finding
 from residuum.identification.errors import BadInput
 from residuum.identification.record import Record
-from residuum.service.broker import BrokerTls, broker_address
+from residuum.service.broker import BrokerTls, broker_address, connected_client
 from residuum.service.cli import DONE, run
 from residuum.service.fieldbus import SOURCES
 from residuum.service.fieldbus.settings import SourceSettings
 from residuum.service.finding_metrics import EdgeNode
 from residuum.service.notifications import Broker
 from residuum.service.settings import BadSettings, load_settings
-from residuum.service.window_queue.window_message import Listener, broker_client
 
 # paho leaves the connection of a handshake that failed to the collector
 pytestmark = pytest.mark.filterwarnings("ignore:unclosed <ssl.SSLSocket:ResourceWarning")
@@ -65,15 +64,10 @@ def wait(condition):
 def test_findings_alarms_and_births_go_by_tls(broker, run_service):
     url, files = broker
     came, subscribed = queue.Queue(), threading.Event()
-
-    def take(client, message):
-        came.put(message.topic)
-        client.ack(message.mid, message.qos)
-
-    address = broker_address(url, BrokerTls(**named(files)))
-    listener = broker_client(
-        address, "tests", ["#"], Listener(take, subscribed=subscribed.set), persistent=False
-    )
+    listener = connected_client(broker_address(url, BrokerTls(**named(files))))
+    listener.on_message = lambda _client, _data, message: came.put(message.topic)
+    listener.on_subscribe = lambda *_: subscribed.set()
+    listener.subscribe("#", qos=1)
     try:
         assert subscribed.wait(60)
         tls = {f"mqtt_{name}": file for name, file in named(files).items()}
