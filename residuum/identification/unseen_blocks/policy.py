@@ -125,6 +125,10 @@ NOISY, UNEVEN = 1.3, 7.0
 """Times its own noise that an error may be, and times the scatter of noise that its blocks may
 have, to be noise. Chosen.
 """
+SAME_NOISE = 0.1
+"""Difference of whitening coefficients, and part of the weights, up to which two noises are one.
+Chosen.
+"""
 WHITENING = 12
 """[coefficients] Of the whitening autoregression at most. Chosen."""
 TIE = 3.0

@@ -77,6 +77,7 @@ from residuum.identification.unseen_blocks.tried import (
     at_the_timing_it_suits,
     begun,
     exchange,
+    in_its_own_noise,
     resolved,
     validated_in_nats,
     with_only,
@@ -284,6 +285,7 @@ def search(data: Data, wanted: Wanted, tell: Tell = untold, *, turns: int = TURN
             else:
                 going = _go_on_otherwise(beam, ranked)
         if outcome.validation.scale.nats and outcome.best.keys:
+            in_its_own_noise(outcome)
             outcome.best = outcome.every[outcome.best.keys] = accurate(
                 outcome.best, outcome.validation
             )
