@@ -216,7 +216,15 @@ def validated_in_nats(
     return None if in_nats is None else (replace(validation, scale=scale), in_nats)
 
 
-def in_its_own_noise(outcome: Search) -> None:
+def settle(outcome: Search) -> None:
+    """What was found in nats, in the noise that it leaves itself, and with as many integration steps
+    a sample as its simulation asks for.
+    """
+    _in_its_own_noise(outcome)
+    outcome.best = outcome.every[outcome.best.keys] = _accurate(outcome.best, outcome.validation)
+
+
+def _in_its_own_noise(outcome: Search) -> None:
     """The best structure, and those that come nearest to it, judged in the noise that it leaves,
     where the unit is that of the noise before: in noise of another colour, that of what was
     missing, values err by more than their bands.
@@ -239,7 +247,7 @@ def in_its_own_noise(outcome: Search) -> None:
     outcome.group = [fit for fit in known if fit.keys in alike]
 
 
-def accurate(best: ValidatedFit, validation: CrossValidation) -> ValidatedFit:
+def _accurate(best: ValidatedFit, validation: CrossValidation) -> ValidatedFit:
     """The structure refitted with as many integration steps a sample as its simulation asks for; as
     it was, where that leaves more.
 
