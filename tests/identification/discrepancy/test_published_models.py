@@ -70,3 +70,12 @@ def test_a_machine_that_no_filter_follows_is_searched_all_the_same(monkeypatch):
     simulator = Simulator(data.model)
     run = simulator.run_vectors(experiment, simulator.measured_start(experiment), simulator.p())
     np.testing.assert_allclose(along.X, run.X, rtol=1e-3)
+
+
+def test_a_friction_has_its_size_in_the_noise_that_is_left_with_it():
+    """What a model without it leaves looks like noise of a colour, in which it was seven standard deviations off."""
+    plant, record = PLANTS["robot-joint"], hidden_record("robot-joint", 5)
+    improved = improve(model_of("robot-joint"), [record], effects=["viscous-friction"])
+    (friction,) = improved.added
+    assert friction.label == plant.hidden
+    assert abs(friction.parameters["d"].value - plant.size) < 3.0 * friction.provenance["std_d"]
