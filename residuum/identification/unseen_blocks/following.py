@@ -21,7 +21,7 @@ from residuum.identification.physics.effects.base import Parameter
 from residuum.identification.physics.model import find_effect, place_of, term_name
 from residuum.identification.physics.simulate.experiment import Spare
 from residuum.identification.physics.simulate.kalman import Filter, Smoothed, first_noise
-from residuum.identification.unseen_blocks.policy import ROWS
+from residuum.identification.unseen_blocks.policy import ROWS, WALKS
 
 if TYPE_CHECKING:
     from residuum.identification.unseen_blocks.data import Data, Horizon
@@ -62,24 +62,57 @@ def followed(
     errors: FloatArray | None = None,
     horizon: Horizon | None = None,
 ) -> Track | None:
-    """The model's smoothed states in every experiment, and what its balances lacked; None where the
-    filter diverges.
+    """The model's smoothed states in every experiment, and what its balances lacked; where no
+    filter follows them, its simulation, of whose balances nothing is known to lack. None where that
+    diverges, too.
 
     `errors` (rows, outputs) are those of its simulation on a horizon, where they are known.
     """
-    kalman, simulator = Filter(model, first_noise(model, data.experiments)), Simulator(model)
-    smoothed = [kalman.run(e, simulator.x0(e.known)) for e in data.experiments]
-    if not all(map(_is_finite, smoothed)):
+    experiments = data.experiments
+    smoothed = _smoothed(model, experiments)
+    if smoothed is None:
+        states = _simulated(model, experiments)
+        lacks = [{b: np.zeros(e.n) for b in model.balances} for e in experiments]
+    else:
+        states = [s.X for s in smoothed]
+        # of a balance whose missing term was not estimated nothing is known to lack
+        lacks = [
+            {
+                b: s.missing[b].value if b in s.missing else np.zeros(len(s.X))
+                for b in model.balances
+            }
+            for s in smoothed
+        ]
+    if states is None:
         return None
-    # of a balance whose missing term was not estimated nothing is known to lack
-    lacks = [
-        {b: s.missing[b].value if b in s.missing else np.zeros(len(s.X)) for b in model.balances}
-        for s in smoothed
-    ]
-    along = joined(model, data.experiments, [s.X for s in smoothed], lacks)
+    along = joined(model, experiments, states, lacks)
     if errors is not None and horizon is not None:
         along.errors[data.rows(horizon)] = np.nan_to_num(errors)
     return along
+
+
+def _smoothed(model: PhysicalModel, experiments: Sequence[Experiment]) -> list[Smoothed] | None:
+    """The experiments followed by a filter whose unknown terms walk as far as one is not lost; None
+    where each is.
+    """
+    simulator, noise = Simulator(model), first_noise(model, experiments)
+    for share in WALKS:
+        kalman = Filter(model, noise.walking(share))
+        smoothed = [kalman.run(e, simulator.x0(e.known)) for e in experiments]
+        if all(map(_is_finite, smoothed)):
+            return smoothed
+    return None
+
+
+def _simulated(
+    model: PhysicalModel, experiments: Sequence[Experiment]
+) -> Sequence[FloatArray] | None:
+    simulator = Simulator(model)
+    X0, p = [simulator.measured_start(e) for e in experiments], simulator.p()
+    runs = simulator.run_each(
+        experiments, X0, p, substeps=simulator.modal_substeps(experiments, X0, p)
+    )
+    return [run.X for run in runs] if runs.bounded else None
 
 
 def _is_finite(smoothed: Smoothed) -> bool:

@@ -41,6 +41,10 @@ PROMISING = 0.1
 """[of the curvature] Damping of the step by whose promise first values are ranked: a whole one
 promises shifts in time too much. Chosen.
 """
+WALKS = (1.0, 1e-2, 1e-4)
+"""[of the first guess] Variances of the walk that a balance's unknown term takes, in turn: one that
+goes far may carry the states where the model has no value, as of a logarithm. Chosen.
+"""
 ROWS = 4000
 """[samples] Of the track on which effects are regressed. Chosen."""
 RESEMBLES, TOLD_BY_OUTPUTS, COLUMNS_TRIED = 0.05, 0.98, 3
@@ -120,6 +124,10 @@ on complete machines.
 NOISY, UNEVEN = 1.3, 7.0
 """Times its own noise that an error may be, and times the scatter of noise that its blocks may
 have, to be noise. Chosen.
+"""
+SAME_NOISE = 0.1
+"""Difference of whitening coefficients, and part of the weights, up to which two noises are one.
+Chosen.
 """
 WHITENING = 12
 """[coefficients] Of the whitening autoregression at most. Chosen."""

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from itertools import pairwise
+from itertools import pairwise, zip_longest
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -57,6 +57,14 @@ class Scale:
             for o, a in enumerate(self.filters):
                 out[begin:end, o] = lfilter(a, [1.0], values[begin:end, o], axis=0)
         return out
+
+    def is_like(self, other: Scale, most: float) -> bool:
+        """Whether weights, and coefficients of the filters, differ by no more than `most`."""
+        known = self.weights > 0.0
+        change = self.weights[known] / np.maximum(other.weights[known], 1e-300) - 1.0
+        pairs = zip_longest(self.filters or (), other.filters or (), fillvalue=np.ones(1))
+        apart = [abs(a - b) for one, two in pairs for a, b in zip_longest(one, two, fillvalue=0.0)]
+        return float(np.abs(change).max(initial=0.0)) <= most and max(apart, default=0.0) <= most
 
     def cost(self, power: FloatArray, parameters: float) -> float:
         """Of power (blocks, measured outputs): nats with the parameters' price, or power in units

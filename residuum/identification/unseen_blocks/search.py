@@ -60,8 +60,8 @@ from residuum.identification.unseen_blocks.scale import Scale, clipped, of_power
 from residuum.identification.unseen_blocks.structure import Structure, fitted
 from residuum.identification.unseen_blocks.trial_fits import (
     QuickFit,
+    at_other_places,
     best_of_each,
-    elsewhere,
     fit_from,
     full_fit_or_left_out,
     quick_fit,
@@ -73,11 +73,11 @@ from residuum.identification.unseen_blocks.trial_fits import (
 from residuum.identification.unseen_blocks.tried import (
     Search,
     Wanted,
-    accurate,
     at_the_timing_it_suits,
     begun,
     exchange,
     resolved,
+    settle,
     validated_in_nats,
     with_only,
     without_needless,
@@ -150,8 +150,8 @@ def related(
     """
     leading = sorted(by_keys.values(), key=lambda lead: lead.cost)[:BEAM]
     tasks = [task for lead in leading for task in _relatives(lead, outcome, quick_fits)]
-    siblings = each_beside(refined, elsewhere(leading[:1], by_keys, quick_fits))
-    tasks += [partial(full_fit_or_left_out, trial, outcome.validation) for trial in siblings]
+    for lead in leading[:1]:
+        tasks += at_other_places(lead, by_keys, quick_fits, outcome.validation)
     better: dict[tuple[Key, ...], ValidatedFit] = {}
     for fit in each_beside(lambda task: task(), tasks):
         if fit is None:
@@ -284,9 +284,7 @@ def search(data: Data, wanted: Wanted, tell: Tell = untold, *, turns: int = TURN
             else:
                 going = _go_on_otherwise(beam, ranked)
         if outcome.validation.scale.nats and outcome.best.keys:
-            outcome.best = outcome.every[outcome.best.keys] = accurate(
-                outcome.best, outcome.validation
-            )
+            settle(outcome)
     except OutOfWork:
         left_out(f"effects {_beside(outcome.best.keys)}")
     return beam.answer

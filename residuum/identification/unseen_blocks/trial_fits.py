@@ -7,15 +7,18 @@ and there a wrong phase hides everything else, which shows on short windows.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from residuum.identification.errors import BadInput
 from residuum.identification.physics import Key, PhysicalModel, Simulator
 from residuum.identification.physics.effects.base import Effect
 from residuum.identification.physics.estimation.gauss_newton import Fit
+from residuum.identification.side_by_side import each_beside
 from residuum.identification.unseen_blocks.cross_validation import (
     LONG,
     SHORT,
@@ -289,26 +292,53 @@ def best_of_each(quick_fits: Collection[QuickFit], count: int) -> list[QuickFit]
     return list(top.values())
 
 
-def elsewhere(
-    leading: Sequence[ValidatedFit],
+def at_other_places(
+    lead: ValidatedFit,
     by_keys: Mapping[tuple[Key, ...], ValidatedFit],
     quick_fits: Collection[QuickFit],
-) -> list[QuickFit]:
-    """The quick fits of an effect of these structures at another place, which were not fitted fully.
+    validation: CrossValidation,
+) -> list[Callable[[], ValidatedFit | None]]:
+    """Full fits, to be made, of an effect of a structure at its other places: from their own first
+    values those that were not fitted fully, and each from where the structure's effect is.
 
     Places that exchange what they hold (rooms and their floor) show an effect of one in the other
     one, too: which it is, errors after a step or three do not tell.
     """
     trials = [
         trial
-        for lead in leading
         for key in lead.keys
         for trial in quick_fits
-        if trial.key.effect == key.effect != HELD
-        and trial.keys not in by_keys
-        and trial.is_of(lead, key)
+        if trial.key.effect == key.effect != HELD and trial.is_of(lead, key)
     ]
-    return best_of_each(trials, FULLY_FITTED)
+    others = best_of_each([t for t in trials if t.keys not in by_keys], FULLY_FITTED)
+    return [
+        *(partial(full_fit_or_left_out, t, validation) for t in each_beside(refined, others)),
+        *_moved(lead, trials, validation),
+    ]
+
+
+def _moved(
+    lead: ValidatedFit, trials: Sequence[QuickFit], validation: CrossValidation
+) -> list[Callable[[], ValidatedFit | None]]:
+    """Full fits of a balance's effect at other places, begun in the sizes that it has at its own:
+    what a neighbour shows of it points to them, and from first values that nothing points to a fit
+    may end elsewhere.
+    """
+    tasks: list[Callable[[], ValidatedFit | None]] = []
+    for use in lead.model.effects:
+        if use.effect.place != "balance" or use.key not in lead.keys:
+            continue
+        less = lead.model.without_effect(use.label)
+        values = {name: p.value for name, p in use.parameters.items()}
+        for trial in trials:
+            if trial.key.effect != use.id or not trial.is_of(lead, use.key):
+                continue
+            try:
+                model = less.with_effect(*trial.key, values)
+            except BadInput:  # sizes that this place cannot have
+                continue
+            tasks.append(partial(fit_from, [model], trial, lead.structure, validation))
+    return tasks
 
 
 def worth_beside_others(quick_fits: Collection[QuickFit]) -> set[Key]:

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from operator import itemgetter
 from typing import TYPE_CHECKING
 
@@ -15,6 +16,7 @@ from residuum.array_types import FloatArray
 from residuum.identification.errors import MAY_DIVERGE, NotIdentifiable
 from residuum.identification.physics import Key, Simulator
 from residuum.identification.residual_analysis.noise import times_the_noise
+from residuum.identification.side_by_side import each_beside
 from residuum.identification.unseen_blocks.comparing import is_alike, is_real
 from residuum.identification.unseen_blocks.cross_validation import (
     CrossValidation,
@@ -22,7 +24,14 @@ from residuum.identification.unseen_blocks.cross_validation import (
     validated,
 )
 from residuum.identification.unseen_blocks.data import Data, Horizon, one_turned, turned
-from residuum.identification.unseen_blocks.policy import COARSE, NOISY, ONE_PHYSICS, UNEVEN
+from residuum.identification.unseen_blocks.policy import (
+    COARSE,
+    KEPT,
+    NOISY,
+    ONE_PHYSICS,
+    SAME_NOISE,
+    UNEVEN,
+)
 from residuum.identification.unseen_blocks.proposals import special_of
 from residuum.identification.unseen_blocks.scale import Scale, clipped, of_noise, of_power
 from residuum.identification.unseen_blocks.structure import Structure, descended, innovations_on
@@ -207,7 +216,38 @@ def validated_in_nats(
     return None if in_nats is None else (replace(validation, scale=scale), in_nats)
 
 
-def accurate(best: ValidatedFit, validation: CrossValidation) -> ValidatedFit:
+def settle(outcome: Search) -> None:
+    """What was found in nats, in the noise that it leaves itself, and with as many integration steps
+    a sample as its simulation asks for.
+    """
+    _in_its_own_noise(outcome)
+    outcome.best = outcome.every[outcome.best.keys] = _accurate(outcome.best, outcome.validation)
+
+
+def _in_its_own_noise(outcome: Search) -> None:
+    """The best structure, and those that come nearest to it, judged in the noise that it leaves,
+    where the unit is that of the noise before: in noise of another colour, that of what was
+    missing, values err by more than their bands.
+    """
+    rejudged = validated_in_nats(outcome.best, outcome.validation)
+    if rejudged is None or rejudged[0].scale.is_like(outcome.validation.scale, SAME_NOISE):
+        return
+    validation, best = rejudged
+    rivals = sorted(
+        (fit for keys, fit in outcome.every.items() if keys and keys != best.keys),
+        key=lambda rival: rival.cost,
+    )[:KEPT]
+    structures = [outcome.base.structure, *(rival.structure for rival in rivals)]
+    base, *others = each_beside(partial(validation.validate, steps=15, tolerance=1e-6), structures)
+    if base is None:
+        return
+    known, alike = [fit for fit in others if fit is not None], {fit.keys for fit in outcome.group}
+    outcome.validation, outcome.best, outcome.base = validation, best, base
+    outcome.every = {fit.keys: fit for fit in (base, best, *known)}
+    outcome.group = [fit for fit in known if fit.keys in alike]
+
+
+def _accurate(best: ValidatedFit, validation: CrossValidation) -> ValidatedFit:
     """The structure refitted with as many integration steps a sample as its simulation asks for; as
     it was, where that leaves more.
 

@@ -1,11 +1,15 @@
 """Models that engineers published go in as they stand; all of them in benchmarks."""
 
+import numpy as np
 import pytest
 
 from benchmarks.published_equations import PLANTS
 from benchmarks.published_models import AGREEMENT, FILES, difference, hidden_record, model_of
+from residuum.identification.discrepancy.explain import explain
 from residuum.identification.discrepancy.improve import improve
-from residuum.identification.physics import Key, candidates
+from residuum.identification.physics import Key, Simulator, candidates
+from residuum.identification.unseen_blocks import following
+from residuum.identification.unseen_blocks.data import matched
 
 
 @pytest.mark.parametrize("name", ["battery-cell", "quadruple-tank"])
@@ -49,3 +53,29 @@ def test_an_actuator_that_had_not_settled_when_the_record_began_has_its_lag():
     assert improved.verdict == "adequate"
     (lag,) = improved.added
     assert abs(lag.parameters["tau"].value - plant.size) < 3.0 * lag.provenance["std_tau"]
+
+
+def test_a_machine_that_no_filter_follows_is_searched_all_the_same(monkeypatch):
+    """A walk of what the balances lack carried pressures below nothing: nothing was tried, it was an unknown effect."""
+    model, record = model_of("fuel-cell"), hidden_record("fuel-cell", 3)
+    effects = ["output-drift", "output-offset", "input-offset"]
+    explained = explain(model, [record], effects=effects)
+    assert explained.verdict == "missing-effect"
+    assert [str(key) for key in explained.accepted] == [PLANTS["fuel-cell"].hidden]
+    monkeypatch.setattr(following, "WALKS", ())
+    data = matched(model, [record], None)
+    along = following.followed(data.model, data)
+    assert not any(lack.any() for lack in along.missing.values())
+    (experiment,) = data.experiments
+    simulator = Simulator(data.model)
+    run = simulator.run_vectors(experiment, simulator.measured_start(experiment), simulator.p())
+    np.testing.assert_allclose(along.X, run.X, rtol=1e-3)
+
+
+def test_a_friction_has_its_size_in_the_noise_that_is_left_with_it():
+    """What a model without it leaves looks like noise of a colour, in which it was seven standard deviations off."""
+    plant, record = PLANTS["robot-joint"], hidden_record("robot-joint", 5)
+    improved = improve(model_of("robot-joint"), [record], effects=["viscous-friction"])
+    (friction,) = improved.added
+    assert friction.label == plant.hidden
+    assert abs(friction.parameters["d"].value - plant.size) < 3.0 * friction.provenance["std_d"]

@@ -60,7 +60,8 @@ class InputDelay(Effect):
 
 
 class InputLag(Effect):
-    """First-order lag: τ·u_f' = u − u_f, begun at u: amplifiers, valves, propellers that spin up.
+    """First-order lag: τ·u_f' = u − u_f, begun at u or where the record says: amplifiers, valves,
+    propellers that spin up.
 
     `tau` [s] > 0.
     """

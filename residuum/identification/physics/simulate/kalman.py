@@ -50,6 +50,10 @@ class Noise:
     output_variance: Array
     walk: Mapping[str, float]
 
+    def walking(self, share: float) -> Noise:
+        """With so large a share of the walks' variances."""
+        return Noise(self.output_variance, {b: share * w for b, w in self.walk.items()})
+
 
 @dataclass(frozen=True, eq=False)
 class MissingTerm:
