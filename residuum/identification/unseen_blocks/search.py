@@ -76,6 +76,7 @@ from residuum.identification.unseen_blocks.tried import (
     at_the_timing_it_suits,
     begun,
     exchange,
+    in_its_own_noise,
     resolved,
     settle,
     validated_in_nats,
@@ -276,6 +277,7 @@ def search(data: Data, wanted: Wanted, tell: Tell = untold, *, turns: int = TURN
             ranked = _next_level(beam)
             if ranked and joins(outcome, ranked):
                 without_needless(outcome)
+                ranked = in_its_own_noise(outcome, ranked)
                 # asked before anything else is tried beside it: all of that would be tried anew
                 retimed = at_the_timing_it_suits(outcome) if turns else None
                 if retimed is not None:

@@ -220,15 +220,23 @@ def settle(outcome: Search) -> None:
     """What was found in nats, in the noise that it leaves itself, and with as many integration steps
     a sample as its simulation asks for.
     """
-    _in_its_own_noise(outcome)
+    in_its_own_noise(outcome, ())
     outcome.best = outcome.every[outcome.best.keys] = _accurate(outcome.best, outcome.validation)
 
 
-def _in_its_own_noise(outcome: Search) -> None:
-    """The best structure, and those that come nearest to it, judged in the noise that it leaves,
-    where the unit is that of the noise before: in noise of another colour, that of what was
-    missing, values err by more than their bands.
+def in_its_own_noise(outcome: Search, ranked: Sequence[ValidatedFit]) -> list[ValidatedFit]:
+    """Those `ranked`, the best first. In nats they, the best structure and those that come nearest to
+    it are judged in the noise that it leaves, where that is another than the noise before: in noise
+    of the colour of what was missing, values err by more than their bands, and the input timing
+    by half a sample.
     """
+    if outcome.validation.scale.nats:
+        _rejudge(outcome)
+    known = (outcome.every.get(fit.keys) for fit in ranked)
+    return sorted((fit for fit in known if fit is not None), key=lambda fit: fit.cost)
+
+
+def _rejudge(outcome: Search) -> None:
     rejudged = validated_in_nats(outcome.best, outcome.validation)
     if rejudged is None or rejudged[0].scale.is_like(outcome.validation.scale, SAME_NOISE):
         return

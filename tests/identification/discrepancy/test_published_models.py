@@ -72,6 +72,16 @@ def test_a_machine_that_no_filter_follows_is_searched_all_the_same(monkeypatch):
     np.testing.assert_allclose(along.X, run.X, rtol=1e-3)
 
 
+def test_the_timing_of_an_input_is_asked_in_the_noise_that_is_left():
+    """In that of what was missing a flow was taken to move evenly between samples: a rim seven standard deviations off."""
+    plant, record = PLANTS["pump-station"], hidden_record("pump-station", 7)
+    improved = improve(model_of("pump-station"), [record], effects=["overflow", "leak"])
+    (rim,) = improved.added
+    assert rim.label == plant.hidden and improved.verdict == "adequate"
+    for name, truth in (("c", plant.size), ("h_max", 2.5)):
+        assert abs(rim.parameters[name].value - truth) < 3.0 * rim.provenance[f"std_{name}"]
+
+
 def test_a_friction_has_its_size_in_the_noise_that_is_left_with_it():
     """What a model without it leaves looks like noise of a colour, in which it was seven standard deviations off."""
     plant, record = PLANTS["robot-joint"], hidden_record("robot-joint", 5)
