@@ -73,14 +73,16 @@ def be_service(folder: Path, port: int, workers: int) -> None:
     uvicorn.run(create_app(settings), port=port, log_config=None, access_log=False)
 
 
-def be_gateway(folder: Path, port: int, windows: range, told: Connection) -> None:
-    """Be the gateway until killed: tell the number of each window that is on its disk."""
+def be_gateway(folder: Path, port: int, windows: range, told: Connection, allowed: Any) -> None:
+    """Be the gateway until killed: tell the number of each window that is on its disk, of those that are `allowed`."""
     load_settings()
     spool = Spool(folder / "spool", MOST)
     sending = Sending(f"http://127.0.0.1:{port}", patience=PATIENCE)
     gateway = Gateway(spool, SetAside(folder), sending)
     gateway.start()
     for number in windows:
+        while number >= allowed.value:
+            time.sleep(0.01)
         gateway.handle(machine(asset_of(number)), window(number), None, None)  # type: ignore[arg-type]
         told.send(number)
         while len(spool) > AHEAD:
@@ -114,6 +116,8 @@ class Plant:
         self.proxy = SilentProxy(("127.0.0.1", self._port), keeps=True)
         self.on_disk: list[int] = []
         self._next, self.empty = 0, False
+        # without a lock, which who is killed would keep
+        self._allowed = _PROCESSES.RawValue("i", 0)
         _PROCESSES.set_forkserver_preload(["benchmarks.gateway"])
         self.service = self._started_service()
         _wait(self._port)
@@ -128,11 +132,15 @@ class Plant:
         self._told, told = _PROCESSES.Pipe(duplex=False)
         rest = range(self._next, self._windows)
         gateway = _PROCESSES.Process(
-            target=be_gateway, args=(self.folder, self.proxy.port, rest, told)
+            target=be_gateway, args=(self.folder, self.proxy.port, rest, told, self._allowed)
         )
         gateway.start()
         told.close()
         return gateway
+
+    def allow(self, windows: int) -> None:
+        """Let the gateway come to so many windows, however fast it is."""
+        self._allowed.value = windows
 
     def hear(self) -> int:
         """What the gateway has told so far: how many windows are on its disk, or were."""
@@ -218,6 +226,8 @@ def campaign(
             while plant.hear() < windows - every:
                 order = order or list(disturbances)
                 enough = plant.hear() + chance.randint(every // 2, 3 * every // 2)
+                # each that was killed left out a window
+                plant.allow(enough + done.total() + every // 2)
                 wait_for(
                     lambda enough=enough: plant.hear() >= min(enough, windows - len(done)),
                     "the gateway puts no window on its disk",
@@ -225,6 +235,7 @@ def campaign(
                 disturbance = order.pop(chance.randrange(len(order)))
                 disturbance(plant)
                 done[disturbance.__name__] += 1
+            plant.allow(windows)
             wait_for(lambda: plant.hear() and plant.empty, "windows stay in the spool")
         finally:
             plant.end()
