@@ -69,50 +69,47 @@ def followed(
     `errors` (rows, outputs) are those of its simulation on a horizon, where they are known.
     """
     experiments = data.experiments
-    smoothed = _smoothed(model, experiments)
-    if smoothed is None:
-        states = _simulated(model, experiments)
-        lacks = [{b: np.zeros(e.n) for b in model.balances} for e in experiments]
-    else:
-        states = [s.X for s in smoothed]
-        # of a balance whose missing term was not estimated nothing is known to lack
-        lacks = [
-            {
-                b: s.missing[b].value if b in s.missing else np.zeros(len(s.X))
-                for b in model.balances
-            }
-            for s in smoothed
-        ]
-    if states is None:
+    known = _filtered(model, experiments) or _simulated(model, experiments)
+    if known is None:
         return None
+    states, lacks = known
     along = joined(model, experiments, states, lacks)
     if errors is not None and horizon is not None:
         along.errors[data.rows(horizon)] = np.nan_to_num(errors)
     return along
 
 
-def _smoothed(model: PhysicalModel, experiments: Sequence[Experiment]) -> list[Smoothed] | None:
-    """The experiments followed by a filter whose unknown terms walk as far as one is not lost; None
-    where each is.
-    """
+_Known = tuple[Sequence[FloatArray], Sequence[Mapping[str, FloatArray]]]
+"""The states in each experiment, and what each balance lacked there."""
+
+
+def _filtered(model: PhysicalModel, experiments: Sequence[Experiment]) -> _Known | None:
+    """By a filter whose unknown terms walk as far as it is not lost; None where each is."""
     simulator, noise = Simulator(model), first_noise(model, experiments)
     for share in WALKS:
         kalman = Filter(model, noise.walking(share))
         smoothed = [kalman.run(e, simulator.x0(e.known)) for e in experiments]
         if all(map(_is_finite, smoothed)):
-            return smoothed
+            return [s.X for s in smoothed], [_lacks(model, s) for s in smoothed]
     return None
 
 
-def _simulated(
-    model: PhysicalModel, experiments: Sequence[Experiment]
-) -> Sequence[FloatArray] | None:
+def _lacks(model: PhysicalModel, smoothed: Smoothed) -> dict[str, FloatArray]:
+    """What each balance lacked; of one whose missing term was not estimated nothing is known."""
+    nothing = np.zeros(len(smoothed.X))
+    known = {b: term.value for b, term in smoothed.missing.items()}
+    return {b: known.get(b, nothing) for b in model.balances}
+
+
+def _simulated(model: PhysicalModel, experiments: Sequence[Experiment]) -> _Known | None:
+    """By simulation, which knows of nothing that a balance lacks; None where it diverges."""
     simulator = Simulator(model)
     X0, p = [simulator.measured_start(e) for e in experiments], simulator.p()
     runs = simulator.run_each(
         experiments, X0, p, substeps=simulator.modal_substeps(experiments, X0, p)
     )
-    return [run.X for run in runs] if runs.bounded else None
+    lacks = [{b: np.zeros(e.n) for b in model.balances} for e in experiments]
+    return ([run.X for run in runs], lacks) if runs.bounded else None
 
 
 def _is_finite(smoothed: Smoothed) -> bool:

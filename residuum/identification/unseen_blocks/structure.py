@@ -54,6 +54,10 @@ class Structure:
         """
         return sum(rarity(self.model, key) for key in self.keys)
 
+    def with_steps(self, windows: int, steps: Sequence[int]) -> Structure:
+        """The structure with other integration steps a sample on the horizon of so many windows."""
+        return replace(self, steps={**self.steps, windows: steps})
+
     def at(self, horizon: Horizon, fit: Fit, keys: tuple[Key, ...] | None = None) -> Structure:
         """The structure with what was found on a horizon."""
         names = fit.problem.simulator.states
@@ -87,7 +91,7 @@ def at_start(
         X0 = np.array(
             [simulator.measured_start(e) for e in horizon.parts]
             if states is None
-            else _vectors(simulator, horizon, states)
+            else first_states(simulator, horizon, states)
         )
         # steps that were found serve a model with the same states; a further state may be stiffer
         if steps is None or not (states and set(simulator.states) <= states[0].keys()):
@@ -106,7 +110,7 @@ def at_start(
     return replace(replace(fit, problem=held).descended(2, 1e-2), problem=fit.problem)
 
 
-def _vectors(simulator: Simulator, horizon: Horizon, states: States) -> list[FloatArray]:
+def first_states(simulator: Simulator, horizon: Horizon, states: States) -> list[FloatArray]:
     """The states in the order of a model that may have others, which begin where its kernel sets
     them.
     """
@@ -122,6 +126,13 @@ def _steps_needed(simulator: Simulator, horizon: Horizon, X0: FloatArray) -> lis
     return np.minimum(
         simulator.modal_substeps(horizon.parts, list(X0), simulator.p()), STIFFEST
     ).tolist()
+
+
+def too_few(taken: Iterable[int], needed: Iterable[int]) -> bool:
+    """Whether in any window so many more integration steps a sample are needed than were taken that
+    it has to be fitted anew.
+    """
+    return any(n > COARSE * own for n, own in zip(needed, taken, strict=True))
 
 
 def fitted(
@@ -148,7 +159,7 @@ def fitted(
     if substeps is not None:
         return fit
     needed = _steps_needed(Simulator(fit.model), horizon, fit.X0)
-    if not any(n > COARSE * taken for n, taken in zip(needed, fit.substeps, strict=True)):
+    if not too_few(fit.substeps, needed):
         return fit
     # from the start again, not from the end: what coarse steps led to may be far from the minimum
     finer = replace(start.problem, substeps=np.maximum(needed, fit.substeps)).at(

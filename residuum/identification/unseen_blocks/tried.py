@@ -25,7 +25,6 @@ from residuum.identification.unseen_blocks.cross_validation import (
 )
 from residuum.identification.unseen_blocks.data import Data, Horizon, one_turned, turned
 from residuum.identification.unseen_blocks.policy import (
-    COARSE,
     KEPT,
     NOISY,
     ONE_PHYSICS,
@@ -34,7 +33,13 @@ from residuum.identification.unseen_blocks.policy import (
 )
 from residuum.identification.unseen_blocks.proposals import special_of
 from residuum.identification.unseen_blocks.scale import Scale, clipped, of_noise, of_power
-from residuum.identification.unseen_blocks.structure import Structure, descended, innovations_on
+from residuum.identification.unseen_blocks.structure import (
+    Structure,
+    descended,
+    first_states,
+    innovations_on,
+    too_few,
+)
 
 if TYPE_CHECKING:
     from residuum.identification.unseen_blocks.following import Track
@@ -241,18 +246,16 @@ def _rejudge(outcome: Search) -> None:
     if rejudged is None or rejudged[0].scale.is_like(outcome.validation.scale, SAME_NOISE):
         return
     validation, best = rejudged
-    rivals = sorted(
-        (fit for keys, fit in outcome.every.items() if keys and keys != best.keys),
-        key=lambda rival: rival.cost,
-    )[:KEPT]
+    by_cost = sorted(outcome.every.values(), key=lambda fit: fit.cost)
+    rivals = [fit for fit in by_cost if fit.keys not in ((), best.keys)][:KEPT]
     structures = [outcome.base.structure, *(rival.structure for rival in rivals)]
     base, *others = each_beside(partial(validation.validate, steps=15, tolerance=1e-6), structures)
     if base is None:
         return
-    known, alike = [fit for fit in others if fit is not None], {fit.keys for fit in outcome.group}
+    known = {fit.keys: fit for fit in others if fit is not None}
     outcome.validation, outcome.best, outcome.base = validation, best, base
-    outcome.every = {fit.keys: fit for fit in (base, best, *known)}
-    outcome.group = [fit for fit in known if fit.keys in alike]
+    outcome.every = {(): base, best.keys: best} | known
+    outcome.group = [known[fit.keys] for fit in outcome.group if fit.keys in known]
 
 
 def _accurate(best: ValidatedFit, validation: CrossValidation) -> ValidatedFit:
@@ -264,11 +267,11 @@ def _accurate(best: ValidatedFit, validation: CrossValidation) -> ValidatedFit:
     """
     last, structure = validation.last, best.structure
     simulator, taken = Simulator(best.model), structure.steps[last.windows]
-    X0 = _first_states(best, last)
+    X0 = first_states(simulator, last, structure.states[last.windows])
     steps = np.maximum(simulator.substeps_each(last.parts, X0, simulator.p()), taken).tolist()
     if steps == list(taken):
         return best
-    finer = replace(structure, steps={**structure.steps, last.windows: steps})
+    finer = structure.with_steps(last.windows, steps)
     refitted = validation.validate(finer, steps=15, tolerance=1e-6)
     return best if refitted is None or refitted.cost > best.cost else refitted
 
@@ -286,19 +289,13 @@ def resolved(
     windows = validation.last.windows
     taken = found.structure.steps[windows]
     needed = _modal_steps(found, validation.last)
-    if not _too_few(taken, needed):
+    if not too_few(taken, needed):
         return found
     # a machine that is stiffer than any search follows stays as it was followed
-    needed_before = _modal_steps(before, validation.last)
-    if not _too_few(np.maximum(taken, needed_before).tolist(), needed):
+    if not too_few(np.maximum(taken, _modal_steps(before, validation.last)).tolist(), needed):
         return found
-    steps = np.maximum(needed, taken).tolist()
-    finer = replace(found.structure, steps={**found.structure.steps, windows: steps})
+    finer = found.structure.with_steps(windows, np.maximum(needed, taken).tolist())
     return validation.validate(finer, steps=15, tolerance=1e-5)
-
-
-def _too_few(taken: Sequence[int], needed: Sequence[int]) -> bool:
-    return any(n > COARSE * own for n, own in zip(needed, taken, strict=True))
 
 
 def exchange(
@@ -317,15 +314,8 @@ def exchange(
 def _modal_steps(found: ValidatedFit, last: Horizon) -> list[int]:
     """Steps a sample that the fastest mode of each window asks for."""
     simulator = Simulator(found.model)
-    return simulator.modal_substeps(last.parts, _first_states(found, last), simulator.p())
-
-
-def _first_states(found: ValidatedFit, last: Horizon) -> list[FloatArray]:
-    simulator = Simulator(found.model)
-    return [
-        simulator.x0({**known, **part.known})
-        for known, part in zip(found.structure.states[last.windows], last.parts, strict=True)
-    ]
+    X0 = first_states(simulator, last, found.structure.states[last.windows])
+    return simulator.modal_substeps(last.parts, X0, simulator.p())
 
 
 def _unevenness(
