@@ -83,7 +83,6 @@ class Receiver(Delivery):
         self._order: str | None = None
         self._address, self._send, self._findings = address, send, findings
         self._wants = wants
-        self._news = threading.Event()
         self._thread = threading.Thread(
             target=self._deliver_all, name=f"notify {name}", daemon=True
         )
@@ -94,21 +93,16 @@ class Receiver(Delivery):
         self._outbox, self._id = outbox, outbox.register(self._address, findings=self._findings)
         self._thread.start()
 
-    def look(self) -> None:
-        """Something new may wait in the outbox."""
-        self._news.set()
-
     def stop(self) -> None:
         """End; what still waits is told by whoever opens the store next."""
-        self.stopped.set()
-        self._news.set()
+        super().stop()
         if self._thread.ident is not None:
             self._thread.join(PATIENCE)
 
     def _deliver_all(self) -> None:
         while not self.stopped.is_set():
             # before the look: news that come while it lasts are looked for in the next turn
-            self._news.clear()
+            self.news.clear()
             try:
                 self._tell_of_alarms()
                 told_all = not self._findings or self._tell_of_findings()
@@ -117,7 +111,7 @@ class Receiver(Delivery):
                 self.pause()
                 continue
             if told_all:
-                self._news.wait(_LOOK)
+                self.news.wait(_LOOK)
 
     def _tell_of_alarms(self) -> None:
         while not self.stopped.is_set() and (notice := self._outbox.next(self._id)) is not None:

@@ -41,10 +41,19 @@ class Delivery:
         self.sent = self.dropped = 0
         self.trouble: str | None = None
         """What the last attempt failed by, None where it did not."""
-        self.stopped = threading.Event()
+        self.stopped, self.news = threading.Event(), threading.Event()
         self._words = words
         self._backoff = Backoff(first=_FIRST, longest=_LONGEST)
         self._failed_by: set[str] = set()
+
+    def look(self) -> None:
+        """Something new may wait."""
+        self.news.set()
+
+    def stop(self) -> None:
+        """Begin nothing more; what waits is let wait."""
+        self.stopped.set()
+        self.news.set()
 
     def attempt(self, deliver: Callable[[], object]) -> bool:
         """Whether it is taken, or refused for good (`deliver` raises Refused); False after a pause

@@ -143,19 +143,9 @@ class _Sender(Delivery):
     def __init__(self, machine: str, spool: Spool, aside: SetAside, sending: Sending) -> None:
         super().__init__(machine, log.bind(machine=machine), _WORDS)
         self._spool, self._aside, self._sending = spool, aside, sending
-        self._came = threading.Event()
         self._faults = 0
         self._thread = threading.Thread(target=self._send_all, name=f"send {machine}", daemon=True)
         self._thread.start()
-
-    def look(self) -> None:
-        """A window may wait."""
-        self._came.set()
-
-    def stop(self) -> None:
-        """Send no other; `join` waits for the one that is being sent."""
-        self.stopped.set()
-        self._came.set()
 
     def join(self) -> None:
         """Wait for its end, for a while."""
@@ -163,7 +153,7 @@ class _Sender(Delivery):
 
     def _send_all(self) -> None:
         while not self.stopped.is_set():
-            self._came.clear()
+            self.news.clear()
             try:
                 self._send_oldest()
             except Exception as error:
@@ -174,7 +164,7 @@ class _Sender(Delivery):
     def _send_oldest(self) -> None:
         key = self._spool.oldest(self.name)
         if key is None:
-            self._came.wait(_LOOK)
+            self.news.wait(_LOOK)
         elif self.attempt(partial(self._send, key)):
             self._spool.remove(key)
 
