@@ -40,9 +40,8 @@ from residuum.service.machines.adding import (
 from residuum.service.machines.baselines import (
     MOST,
     has_baseline,
+    healthy_windows_of,
     train_baseline,
-    training_windows,
-    uploaded_windows,
     what_is_trained,
 )
 from residuum.service.machines.scoring import diagnoser_class
@@ -288,36 +287,17 @@ def train(request: Request, running: Running, machine: MachineName, asked: Train
     Without a baseline the recorded windows are taken; with one, those that it judged healthy; or
     uploaded records, of a time when nobody watched.
     """
-    if asked.records is not None and asked.leave_out:
-        raise BadInput(
-            "body, leave_out: names windows of the machine, and `records` are taken in their place;"
-            " leave one of them out"
-        )
     settings = running.pipeline.machine(machine)
     trained = what_is_trained(running.store, settings, second=asked.second)
-    judged = has_baseline(running.store, machine, settings.baseline)
     baseline = trained.name
     model = _model(running, asked, trained.model) if trained.diagnoser == "model-based" else None
-    used = used_by(model)
-    # With a baseline what it judged healthy, without one what was recorded.
-    windows, holes = (
-        training_windows(
-            running.store,
-            machine,
-            asked.leave_out,
-            judged=judged,
-            channels=settings.channels,
-            used=used,
-        )
-        if asked.records is None
-        else uploaded_windows(running.store, asked.records, settings.channels, used)
+    windows, holes = healthy_windows_of(
+        running.store, settings, asked.leave_out, asked.records, used_by(model)
     )
-    given: dict[str, Any] = {
-        "fix_undetermined": asked.fix_undetermined or None,
-        "method": asked.method,
-    }
-    given |= {"false_alarms_per_day": asked.false_alarms_per_day, "free": asked.free}
-    own = {name: value for name, value in given.items() if value is not None}
+    given = asked.model_dump(
+        include={"fix_undetermined", "method", "false_alarms_per_day", "free"}, exclude_none=True
+    )
+    own = {name: value for name, value in given.items() if value is not False}
     by = caller_of(request).name
 
     def keep(outcome: Mapping[str, Any]) -> Mapping[str, Any]:

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import json
 import zipfile
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 from io import BytesIO
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -82,6 +83,8 @@ def lent_windows(
     the end: a training has read them by then, and who lent them has them.
     """
     lent = Lent([], [])
+    if not sources and (healthy is not None or reading != Reading()):
+        raise BadInput("--healthy, --map and how files are read are said of --from; it is missing")
     if healthy is not None and not any(map(is_history, sources)):
         raise BadInput(
             "--healthy: says when a history was healthy, and --from names none; a record file is"
@@ -112,7 +115,7 @@ def _lend_all(
             _lend(lent, url, machine, reading.named([Path(source)])[0])
             lent.says.append(source)
             continue
-        address = _asked(source, watched["settings"]["window"]["length"], healthy)
+        address = _asked(source, watched["settings"]["window"], healthy)
         windows = windows_of(address)
         evenly = np.linspace(0, len(windows) - 1, min(most, len(windows)))
         places = [windows[int(place)] for place in np.unique(evenly.round())]
@@ -154,19 +157,25 @@ def _whole(address: str, places: Sequence[str], reading: Reading) -> Iterator[Re
         raise refused
 
 
-def _asked(address: str, window: float, healthy: str | None) -> str:
-    """The address with the machine's length of a window [s] and the healthy span, where it does not
+def _asked(address: str, window: Mapping[str, Any], healthy: str | None) -> str:
+    """The address with the length of the machine's windows and the healthy span, where it does not
     say them itself.
 
     Raises
     ------
     BadInput
-        A begin or an end that is said twice; windows of several machines.
+        A begin or an end that is said twice; windows of several machines; those of a machine that
+        are cut by what it does.
     """
     keys = {part.partition("=")[0] for part in address.partition("?")[2].split("&")}
     if "each" in keys:
         raise BadInput("--from: has windows of several machines; say one, as &machine=press-1")
-    more = [] if "window" in keys else [f"window={window:g}"]
+    if "window" not in keys and window["cut"] != "sliding":
+        raise BadInput(
+            f"--from: windows of the machine are cut by {window['cut']}, which a history does not"
+            " tell; give record files of one each, or say a length [s], as &window=10"
+        )
+    more = [] if "window" in keys else [f"window={window['length']:g}"]
     if healthy is not None:
         if keys & {"start", "end"}:
             raise BadInput(

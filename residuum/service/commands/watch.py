@@ -246,32 +246,31 @@ def train(
     """
     body: dict[str, Any] = {"leave_out": leave_out or [], "fix_undetermined": fix_undetermined}
     # Left out where it was not said: the service then takes the machine's own.
-    body |= {"model": model} if model else {}
-    body |= {"second": True} if second else {}
-    body |= {"false_alarms_per_day": false_alarms_per_day} if false_alarms_per_day else {}
-    if records is None and (healthy is not None or reading != Reading()):
-        raise BadInput("--healthy, --map and how files are read are said of --from; it is missing")
+    said = {"model": model, "second": second, "false_alarms_per_day": false_alarms_per_day}
+    body |= {name: value for name, value in said.items() if value}
     with lent_windows(url, _quoted(machine), records or (), healthy, reading) as lent:
         body |= {"records": lent.records} if records else {}
         job = ask(url, f"/assets/{_quoted(machine)}/training", body)
+    result = _result_of(url, job) | ({"from": lent.says} if records else {})
+    lines = [
+        f"{machine}: trained on {result['windows']} windows; {result['alarms']} of them would raise"
+        " an alarm",
+        *(f"  from {told}" for told in lent.says),
+    ]
+    if holes := result.get("passed_over"):
+        lines.append(f"  passed over, since samples are missing: {holes}")
+    report(result, "\n".join([*lines, *result["learned"].get("says", [])]), as_json=as_json)
+
+
+def _result_of(url: str, job: Mapping[str, Any]) -> dict[str, Any]:
+    """The result of a job of the service, waited for; BadInput says why there is none."""
     while job["state"] in ("queued", "running"):
         progress(job["doing"], job["progress"])
         time.sleep(_PAUSE)
         job = ask(url, f"/jobs/{job['id']}")
     if job["state"] != "done":
         raise BadInput(job["error"] or f"the training was {job['state']}")
-    result = job["result"] | ({"from": lent.says} if records else {})
-    lines = [
-        f"{machine}: trained on {result['windows']} windows; {result['alarms']} of them would raise"
-        " an alarm"
-    ]
-    lines += [f"  from {told}" for told in lent.says]
-    lines += (
-        [f"  passed over, since samples are missing: {result['passed_over']}"]
-        if result.get("passed_over")
-        else []
-    )
-    report(result, "\n".join([*lines, *result["learned"].get("says", [])]), as_json=as_json)
+    return dict(job["result"])
 
 
 def _machine(

@@ -520,6 +520,29 @@ MOST = 60
 """Recorded windows that are learned from at most: the newest."""
 
 
+def healthy_windows_of(
+    store: DiskStore,
+    settings: MachineSettings,
+    leave_out: Collection[int],
+    uploaded: Sequence[int] | None,
+    used: Collection[str],
+) -> tuple[list[Record], int]:
+    """The windows that a machine is trained from, and how many were passed over for a hole: uploaded
+    records, else its own, of which some may be left out; BadInput where both are said.
+    """
+    if uploaded is not None:
+        if leave_out:
+            raise BadInput(
+                "body, leave_out: names windows of the machine, and `records` are taken in their"
+                " place; leave one of them out"
+            )
+        return uploaded_windows(store, uploaded, settings.channels, used)
+    judged = has_baseline(store, settings.asset, settings.baseline)
+    return training_windows(
+        store, settings.asset, leave_out, judged=judged, channels=settings.channels, used=used
+    )
+
+
 def training_windows(
     store: DiskStore,
     asset: str,

@@ -402,12 +402,34 @@ def test_what_cannot_be_trained_from_is_refused_and_leaves_nothing(
         (["--from", str(record), "--healthy", "2026-03..2026-03"], "--from names none"),
         (["--healthy", "2026-03..2026-03"], "it is missing"),
         (["--from", str(record), "--from", str(tmp_path / "absent.npz")], "no such file"),
+        (["--from", str(record), "--leave-out", "3"], "are taken in their place"),
     ):
         assert run([*words, *more]) == BAD_INPUT
         assert says in capsys.readouterr().err
     api = f"{watched}/api/v1"
     assert httpx.get(f"{api}/records", timeout=60).json()["items"] == []
     assert httpx.get(f"{api}/assets/pump/machine", timeout=60).json()["baseline"] is False
+
+
+def test_windows_that_a_machine_cuts_by_what_it_does_are_not_guessed(
+    fleet, run_service, tmp_path, capsys
+):
+    service = run_service(growing_files=tmp_path)
+    moving = COLUMNS.replace("y: {column: y}", "y: {column: y}, phase: {column: phase}")
+    machine = {
+        "diagnoser": "robust-residual",
+        "window": {"cut": "movement"},
+        "sources": [{"kind": "file", "channel": "file:gate.csv", "map": "columns.yaml"}],
+        "maps": {"columns.yaml": moving},
+    }
+    answer = httpx.put(f"{service.url}/api/v1/assets/gate/machine", json=machine, timeout=60)
+    assert answer.status_code == 200, answer.text
+    address = fleet[0].replace("each=machine", "machine=pump 1")
+    words = ["watch", "train", "gate", "--url", service.url, "--from"]
+    span = ["--healthy", "2026-03-01T00:00..2026-03-01T02:00"]
+    assert run([*words, address, *span]) == BAD_INPUT
+    assert "are cut by movement, which a history does not tell" in capsys.readouterr().err
+    assert run([*words, f"{address}&window=200", *span]) == DONE
 
 
 def test_windows_are_made_when_asked_for_and_found_by_their_addresses(plant):
