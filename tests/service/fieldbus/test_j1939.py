@@ -171,10 +171,65 @@ def test_messages_of_one_group_are_told_by_their_source_addresses(make_bench):
     assert bench.values("speed") == [0, 1, 2] and bench.values("other") == [0, 10, 20]
 
 
-def test_a_message_of_several_packets_is_said_not_to_be_read(tmp_path):
-    (tmp_path / "bus.dbc").write_text(dbc())
-    says = read_dbc(tmp_path / "bus.dbc")["HOURS"].why_no_stream
-    assert says.startswith("has 20 bytes, which J1939 sends in packets")
+def in_packets(group, payload, source=0x03, destination=0xFF):
+    """The frames that send a message of more than eight bytes: to all, or to one device, which asks for packet 2 again."""
+    count = -(-len(payload) // 7)
+    kind = 32 if destination == 0xFF else 16
+    announced = bytes(
+        [kind, *len(payload).to_bytes(2, "little"), count, 0xFF, *group.to_bytes(3, "little")]
+    )
+    packets = [bytes([k + 1]) + payload[7 * k : 7 * k + 7].ljust(7, b"\xff") for k in range(count)]
+    frames = [(identifier(0xEC00, source, 7, destination), announced)]
+    frames += [(identifier(0xEB00, source, 7, destination), packet) for packet in packets]
+    return frames if destination == 0xFF else [*frames[:-1], frames[2], frames[-1]]
+
+
+def hours(value, length=20):
+    return int(value).to_bytes(4, "little") + bytes(range(length - 4))
+
+
+def test_a_message_of_several_packets_is_put_together(make_bench):
+    bench = make_bench(dbc())
+    for k in range(5):
+        # packets of two messages, and of a group that the file does not have, among each other
+        ours, others = in_packets(HOURS, hours(20 * k)), in_packets(0xFECA, bytes(30), source=0x55)
+        for pair in zip(ours, others, strict=False):
+            for frame in pair:
+                bench.bus.send(*frame)
+    for frame in in_packets(HOURS, hours(100), destination=0x21):
+        bench.bus.send(*frame)
+    assert bench.wait(lambda: len(bench.values("hours")) == 6)
+    assert bench.values("hours") == [0, 1, 2, 3, 4, 5] and not bench.counted()
+
+
+@pytest.mark.parametrize("lost", [0, 1, 2, 3])
+def test_a_lost_packet_costs_its_message_and_mixes_no_two(make_bench, lost):
+    bench = make_bench(dbc())
+    sent = [in_packets(HOURS, int(20 * k).to_bytes(4, "little") * 5) for k in range(4)]
+    for k, frames in enumerate(sent):
+        for place, frame in enumerate(frames):
+            if (k, place) not in ((1, lost), (2, 0 if lost == 3 else -1)):
+                bench.bus.send(*frame)
+    kept = [0, 3] if lost == 3 else [0, 2, 3]
+    assert bench.wait(lambda: len(bench.values("hours")) == len(kept))
+    assert bench.values("hours") == kept
+    if lost:
+        assert bench.counted() == {"lost": 1} and "HOURS" in bench.trouble()
+
+
+def test_what_an_older_device_does_not_send_is_not_available_and_what_a_newer_one_adds_is_left(
+    make_bench,
+):
+    after = EXTENDED | 6 << 26 | 0xFEE6 << 8 | 0xFE
+    more = f'BO_ {after} TRIP: 12 A\n SG_ first : 0|16@1+ (1,0) [0|64255] "h" A\n SG_ last : 80|16@1+ (1,0) [0|64255] "h" A\n'
+    bench = make_bench(dbc(more=more) + f'BA_ "SampleTime" BO_ {after} {STEP};\n')
+    for payload in (bytes([1, 0] * 5), bytes([2, 0] * 6), bytes([3, 0] * 9)):
+        for frame in in_packets(0xFEE6, payload):
+            bench.bus.send(*frame)
+    assert bench.wait(lambda: len(bench.values("first")) == 3)
+    assert bench.values("first") == [1, 2, 3] and np.array_equal(
+        bench.values("last"), [np.nan, 2, 3], equal_nan=True
+    )
 
 
 def test_a_source_address_that_is_none_costs_its_message(tmp_path):
@@ -205,13 +260,17 @@ def log_of(path, frames):
 @pytest.mark.parametrize("ending", ["log", "asc", "blf"])
 def test_a_log_is_read_as_the_bus_is(tmp_path, text, kept, ending):
     (tmp_path / "bus.dbc").write_text(text)
-    announced = b"\x20\x14\x00\x03\xff" + HOURS.to_bytes(3, "little")
     frames = []
     for k in range(100):
         for source, factor in ((0x03, 8), (0x17, 16)):
             speed = 0xFFFF if k == 50 else factor * k
             frames.append((STEP * k, identifier(EEC1, source, priority=k % 8), eec1(speed)))
-        frames.append((STEP * k, identifier(0xEC00, 0x03, destination=0xFF), announced))
+        packets = in_packets(HOURS, hours(20 * k))
+        frames += [
+            (STEP * k + 1e-4 * place, *frame)
+            for place, frame in enumerate(packets)
+            if k != 30 or place != 2
+        ]
         frames.append(
             (STEP * k, identifier(TSC1, 0x03, destination=k % 4), b"\1\x50\1" + b"\xff" * 5)
         )
@@ -219,7 +278,10 @@ def test_a_log_is_read_as_the_bus_is(tmp_path, text, kept, ending):
     log_of(log, frames)
     record = read_can_record(log, tmp_path / "bus.dbc")
     notes = " | ".join(record.notes)
-    assert "HOURS has 20 bytes, which J1939 sends in packets" in notes
+    expected = np.where(np.arange(100) == 30, np.nan, np.arange(100.0))
+    assert np.allclose(record.channels["hours"], expected, equal_nan=True)
+    assert "message HOURS: 1 of it left out, of which a packet is not in the log" in notes
+    assert "ECFF" not in notes
     assert "can0" not in record.names and np.all(record.channels["wanted"] == 42.0)
     if kept is None:
         assert "speed" not in record.names

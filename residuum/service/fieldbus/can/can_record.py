@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections import Counter
+from collections import Counter, defaultdict
 from collections.abc import Iterable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,10 +13,10 @@ from residuum.identification.errors import BadRecord
 from residuum.identification.record import Record
 from residuum.identification.record_formats.even_time import resampled, resampling
 from residuum.identification.record_formats.options import ReadOptions
-from residuum.service.fieldbus.can.can_log import CanLog, read_can_log
-from residuum.service.fieldbus.can.frame_batch import EXTENDED
-from residuum.service.fieldbus.can.frame_layout import BusMessages, group_of, read_dbc
+from residuum.service.fieldbus.can.can_log import CanLog, TimedFrame, read_can_log
+from residuum.service.fieldbus.can.frame_layout import BusMessages, read_dbc
 from residuum.service.fieldbus.can.logged_messages import LoggedMessage, logged_messages
+from residuum.service.fieldbus.can.packets import Packets
 from residuum.service.fieldbus.settings import map_file
 from residuum.service.fieldbus.source import Samples
 
@@ -50,6 +51,8 @@ def read_can_record(
         is not allowed.
     """
     log, messages = read_can_log(path), read_dbc(map_file(str(dbc)))
+    begins = log.frames[0].time
+    log = _put_together(log, messages)
     heard, unused = logged_messages(log, messages)
     if not heard:
         raise BadRecord(f"{log.name}: {_none_known(messages, unused)}")
@@ -71,8 +74,7 @@ def read_can_record(
             " the log at its gaps"
         )
     channels = {name: _placed(*signal, begin, step, n) for name, signal in signals.items()}
-    notes = _in_packets(log, messages)
-    notes += _notes(log.remarks, messages, heard, unused, options.resample)
+    notes = _notes(log.remarks, messages, heard, unused, options.resample)
     # trimmed last: at the ends, what filling has left; it draws lines between two values alone
     if options.resample:
         channels, filled = _interpolated(channels, step, log.name)
@@ -85,7 +87,7 @@ def read_can_record(
         channels,
         {name: options.unit_of(name, units[name]) for name in channels},
         options.settle_sample_time(step, log.name),
-        t0=begin - log.frames[0].time,
+        t0=begin - begins,
         source=str(path),
         notes=tuple(notes),
     )
@@ -251,27 +253,27 @@ def _notes(
     return notes
 
 
-# Of J1939's transport protocol: the group of its announcements, and those that begin a message.
-_ANNOUNCED, _BEGINS = 0xEC00, (16, 32)
-
-
-def _in_packets(log: CanLog, messages: BusMessages) -> list[str]:
-    """The messages that the log has in packets, which are not put together."""
-    packed = {
-        group_of(layout.frame_id): layout for layout in messages.values() if layout.in_packets
-    }
-    announced = {
-        int.from_bytes(frame.data[5:8], "little")
-        for frame in (log.frames if packed else ())
-        if frame.frame_id & EXTENDED
-        and group_of(frame.frame_id) == _ANNOUNCED
-        and len(frame.data) == 8
-        and frame.data[0] in _BEGINS
-    }
-    return [
-        f"not read: message {packed[group].name} {packed[group].in_packets}"
-        for group in sorted(announced & packed.keys())
+def _put_together(log: CanLog, messages: BusMessages) -> CanLog:
+    """The log with what J1939 sends in packets in one piece, at the time of the last packet."""
+    long = [layout for layout in messages.values() if layout.in_packets]
+    if not long:
+        return log
+    frames: list[TimedFrame] = []
+    of_bus: dict[str, Packets] = defaultdict(lambda: Packets(long))
+    for frame in log.frames:
+        packets = of_bus[frame.bus]
+        if not packets.is_known(frame.frame_id, frame.data):
+            frames.append(frame)
+        if whole := packets.put(frame.frame_id, frame.data):
+            frames.append(frame._replace(frame_id=whole[0], data=whole[1]))
+    given_up: Counter[str] = Counter()
+    for packets in of_bus.values():
+        given_up.update(dict(packets.given_up()))
+    says = [
+        f"message {name}: {times} of it left out, of which a packet is not in the log"
+        for name, times in given_up.items()
     ]
+    return replace(log, frames=frames, remarks=[*log.remarks, *says])
 
 
 def _none_known(messages: BusMessages, unused: dict[str, int]) -> str:

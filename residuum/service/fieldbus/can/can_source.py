@@ -18,6 +18,7 @@ from residuum.service.fieldbus.can.frame_layout import (
     source_of,
 )
 from residuum.service.fieldbus.can.frame_matching import FrameMatching, several_sources
+from residuum.service.fieldbus.can.packets import Packets
 from residuum.service.fieldbus.sequence import BREAK, Placed, SequenceCounter
 from residuum.service.fieldbus.source import (
     Backoff,
@@ -83,6 +84,7 @@ class CanSource(Source):
         self.channel = channel
         self._streamed = streamed(layouts)
         self._matching = FrameMatching(layouts.values())
+        self._long = [layout for layout in layouts.values() if layout.in_packets]
         self._sources: dict[str, set[int]] = {}
         """J1939 message of any device → source addresses from which it came."""
         self.health.remarks = [
@@ -131,11 +133,12 @@ class CanSource(Source):
         backoff, opened_before = Backoff(), False
         while not self._stopped.is_set():
             try:
-                self._bus = open_bus(self.channel)
+                packets = Packets(self._long) if self._long else None
+                self._bus = open_bus(self.channel, packets)
                 if opened_before:
                     self.health.count("reconnects")
                 opened_before = True
-                self._read_while_it_works(backoff)
+                self._read_while_it_works(backoff, packets)
             # ValueError: drivers of python-can raise it where a channel does not fit the interface
             except (OSError, can.CanError, ValueError) as error:
                 self.health.count("bus_errors", 1, f"{type(error).__name__}: {error}")
@@ -148,7 +151,7 @@ class CanSource(Source):
         if bus is not None:
             bus.close()
 
-    def _read_while_it_works(self, backoff: Backoff) -> None:
+    def _read_while_it_works(self, backoff: Backoff, packets: Packets | None) -> None:
         while not self._stopped.is_set() and self._bus is not None:
             bus = self._bus
             batch = bus.read(_POLL)
@@ -158,6 +161,8 @@ class CanSource(Source):
                 self._was_empty = True
                 continue
             self._take(batch)
+            for name, times in packets.given_up() if packets else ():
+                self.health.count("lost", times, f"{name}: a packet of it did not come")
             # a bus that opens and gives nothing is not back: frames alone end the longer waits
             backoff.reset()
             self._was_empty = False

@@ -41,7 +41,7 @@ class FrameBatchBuilder:
 
     errors: int = 0
     undecodable: int = 0
-    _data: dict[tuple[int, int], list[bytearray]] = field(default_factory=dict)
+    _data: dict[tuple[int, int], list[bytes | bytearray]] = field(default_factory=dict)
 
     def add(self, message: can.Message) -> None:
         """One message; a bus-off is not counted here but when it ends the connection, a remote
@@ -51,7 +51,11 @@ class FrameBatchBuilder:
             self.errors += not message.arbitration_id & BUS_OFF
         elif not message.is_remote_frame:
             identifier = message.arbitration_id | EXTENDED * message.is_extended_id
-            self._data.setdefault((identifier, len(message.data)), []).append(message.data)
+            self.put(identifier, message.data)
+
+    def put(self, identifier: int, data: bytes | bytearray) -> None:
+        """The bytes of one data frame."""
+        self._data.setdefault((identifier, len(data)), []).append(data)
 
     def batch(self) -> FrameBatch:
         """What was collected."""

@@ -274,14 +274,9 @@ class FrameLayout:
         return self.frame_id | EXTENDED if self.is_extended else self.frame_id
 
     @property
-    def in_packets(self) -> str:
-        """Why no frame carries such a message whole; empty where one does."""
-        if not (self.is_j1939 and self.is_fd):
-            return ""
-        return (
-            f"has {self.length} bytes, which J1939 sends in packets (transport protocol): these are"
-            " not put together"
-        )
+    def in_packets(self) -> bool:
+        """Whether no frame of classic CAN holds such a message: J1939 sends it in packets."""
+        return self.is_j1939 and self.is_fd
 
     @property
     def own_source(self) -> int:
@@ -293,8 +288,6 @@ class FrameLayout:
         """Why frames of this message are no stream of samples; empty when they are one."""
         if not self._channels:
             return "carries no channel"
-        if self.in_packets:
-            return self.in_packets
         if not self.sample_time:
             has = "has a counter and" if self.counter_bits else "has"
             return (
