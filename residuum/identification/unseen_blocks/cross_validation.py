@@ -52,8 +52,9 @@ class ValidatedFit:
     ----------
     structure : Structure
     parameters : float
-        How many its effects have that are estimated, and for how many more these count as they are
-        rare.
+        How many its effects have that are estimated, for how many more these count as they are
+        rare, and how many first states of the model's own are felt: those stay fitted to the blocks
+        that are left out.
     power : array, shape (blocks, measured outputs)
         Sums of squares in the scale, clipped.
     left : array, shape (rows, measured outputs)
@@ -275,6 +276,9 @@ def validated(
     model = structure.model
     parameters = structure.rarity + sum(not p.fixed for p in model.parameters.values())
     parameters += sum(not p.fixed for use in model.effects for p in use.parameters.values())
+    # of a position that no output tells each record has its own: with an effect of it each record
+    # would have a load of its own for nothing
+    parameters += fit.felt
     # once more in the outputs' units and unclipped: what a user is told
     squares, count = np.zeros((2, data.blocks, len(measured)))
     plain_errors = np.where(known, np.nan_to_num(unseen[:, measured]), 0.0)

@@ -101,7 +101,7 @@ def joins(outcome: Search, ranked: list[ValidatedFit]) -> bool:
     scale, before = outcome.validation.scale, outcome.best
     while True:
         real = real_ones(ranked, before, outcome.base, scale, outcome.tried)
-        real = real or _leaving_noise(outcome, ranked)
+        real = real or _leaving_noise(outcome, ranked) or _simpler(ranked, before)
         if not real:
             return False
         chosen = simplest(real, scale)
@@ -112,6 +112,19 @@ def joins(outcome: Search, ranked: list[ValidatedFit]) -> bool:
     outcome.best = chosen
     outcome.group = all_alike(ranked, chosen, before, scale)
     return True
+
+
+def _simpler(ranked: Sequence[ValidatedFit], best: ValidatedFit) -> list[ValidatedFit]:
+    """Those that leave less than the best with fewer parameters, none of them rarer: what joined
+    first stood for two effects together, and took more to do it.
+    """
+    return [
+        rival
+        for rival in ranked
+        if rival.cost < best.cost
+        and rival.parameters < best.parameters
+        and rival.rarity <= best.rarity
+    ]
 
 
 def _leaving_noise(outcome: Search, ranked: Sequence[ValidatedFit]) -> list[ValidatedFit]:
