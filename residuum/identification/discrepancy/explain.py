@@ -14,7 +14,6 @@ from residuum.identification.blas_threads import one_thread
 from residuum.identification.discrepancy.policy import OTHER_VALUE
 from residuum.identification.errors import BadRecord
 from residuum.identification.physics import Key, PhysicalModel
-from residuum.identification.physics.estimation.coloured_covariance import coloured_covariance
 from residuum.identification.record import Record
 from residuum.identification.residual_analysis.compare import compare
 from residuum.identification.residual_analysis.feedback import innovation_variance
@@ -243,7 +242,8 @@ def answer_on_blocks(
     began: float,
 ) -> Explanation:
     """The answer by errors on unseen blocks."""
-    best, stds, steps = search.best, doubts_of(search), steps_of(search)
+    best, steps = search.best, steps_of(search)
+    stds = search.validation.doubts(best.structure)
     # beside the model as it is: what any smooth term would do is the measure of what names do
     free = free_terms(search.base, search.validation)
     left = _left(search)
@@ -289,17 +289,6 @@ def _named_by(steps: Sequence[Step]) -> set[Key]:
     return {key for fit in fits for key in fit.keys}
 
 
-def doubts_of(search: Search) -> dict[str, float]:
-    """Standard deviations of the best structure's parameters by full name, in noise of the colour
-    that is left.
-    """
-    fit = search.validation.begun(search.best.structure)
-    if fit is None:
-        return {}
-    std = np.sqrt(np.maximum(np.diag(coloured_covariance(fit, search.validation.last.parts)), 0.0))
-    return dict(zip(fit.parameters, std.tolist(), strict=True))
-
-
 def _unexplained(search: Search, terms: Sequence[BlockTerm]) -> float:
     """Part of what could be explained that only the best free term explains."""
     if not terms:
@@ -337,13 +326,14 @@ def _held(step: Step, search: Search, stds: Mapping[str, float]) -> HeldValue | 
         return None
     # which of them led is chance: the first of the model is the same for every record
     first, *alike = sorted(tied, key=list(model.parameters).index)
-    doubt = stds if tied[first] is search else doubts_of(tied[first])
-    before, now = model.parameters[first], tied[first].best.model.parameters[first]
+    asking = tied[first]
+    doubt = stds if asking is search else search.validation.doubts(asking.best.structure)
+    before, now = model.parameters[first], asking.best.model.parameters[first]
     return HeldValue(
         first,
         before.value,
         now.value,
-        float(doubt.get(first, 0.0)),
+        doubt.get(first, np.inf),
         now.unit,
         tuple(alike),
         () if is_value else (str(step.key),),

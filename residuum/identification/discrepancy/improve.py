@@ -15,7 +15,6 @@ from residuum.identification.blas_threads import one_thread
 from residuum.identification.discrepancy.explain import (
     Explanation,
     check_length,
-    doubts_of,
     explained,
 )
 from residuum.identification.discrepancy.improvement import Improvement, Step, with_provenance
@@ -232,8 +231,8 @@ def _final(
     # from
     whole = _on_everything(search, final, data) if noted else None
     if whole is not None:
-        return whole.best.model, doubts_of(whole)
-    return final.model, doubts_of(replace(search, best=final))
+        return whole.best.model, whole.validation.doubts(whole.best.structure)
+    return final.model, search.validation.doubts(final.structure)
 
 
 def _at_rest(
