@@ -12,7 +12,7 @@ import numpy as np
 
 from residuum.identification.blas_threads import one_thread
 from residuum.identification.discrepancy.policy import OTHER_VALUE
-from residuum.identification.errors import BadRecord
+from residuum.identification.errors import BadRecord, NotIdentifiable
 from residuum.identification.physics import Key, PhysicalModel
 from residuum.identification.record import Record
 from residuum.identification.residual_analysis.compare import compare
@@ -249,7 +249,7 @@ def answer_on_blocks(
     left = _left(search)
     # few answers to few steps look like a walk at random, which passes for noise in `compare`
     slow = any(times > SLOW for _, _, times in left.values())
-    adequate = not slow and not compare(best.model, records, mapping, refuse_unstable=False).present
+    adequate = not slow and not leaves_something(best.model, records, mapping)
     verdict = verdict_on(search, steps, free, stds, adequate=adequate)
     free_beside = free_terms(best, search.validation) if best.keys else free
     timing = [step.key for step in steps if is_timing(step.key, search)]
@@ -287,6 +287,18 @@ def _named_by(steps: Sequence[Step]) -> set[Key]:
     """The effects that joined, and what does the same in their place."""
     fits = [fit for step in steps for fit in (step.after, *step.group)]
     return {key for fit in fits for key in fit.keys}
+
+
+def leaves_something(
+    model: PhysicalModel, records: Sequence[Record], mapping: Mapping[str, str] | None
+) -> bool:
+    """Whether `compare` finds structure in what a model that was found leaves; as where it diverges
+    from the measured states, since only the first states that the search found follow the records.
+    """
+    try:
+        return compare(model, records, mapping, refuse_unstable=False).present
+    except NotIdentifiable:
+        return True
 
 
 def _unexplained(search: Search, terms: Sequence[BlockTerm]) -> float:

@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from residuum.identification.discrepancy.explain import leaves_something
 from residuum.identification.discrepancy.kept_aside import _kept_aside, first_that_holds
 from residuum.identification.physics import read_model
 from residuum.identification.record import Record
@@ -72,3 +73,11 @@ def test_a_record_longer_than_all_others_is_no_test_of_what_they_tell():
     assert [split.testing for split in _kept_aside([far, short])] == [[(short, 0)]]
     cut = far.window(0, 500)
     assert [split.testing for split in _kept_aside([cut, short])] == [[(short, 0)], [(cut, 0)]]
+
+
+def test_a_model_that_diverges_from_what_was_measured_leaves_something():
+    """`compare` begins at the measured states; a search may have followed the records from other ones."""
+    runaway = read_model(
+        CART.replace("-d * v}", "d * v**3}").replace("unit: N*s/m,", "unit: N*s**3/m**3,")
+    )
+    assert leaves_something(runaway, [cart_record(np.zeros(500), 500, 60.0)], None)

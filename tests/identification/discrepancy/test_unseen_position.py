@@ -55,3 +55,6 @@ def windows(seed, count=15):
 def test_a_spring_with_a_place_of_its_own_in_each_record_is_no_dry_friction(seed):
     found = explain(read_model(FAN), windows(seed))
     assert {id for id, _ in found.accepted} == {"quadratic-drag", "coulomb-friction"}
+    # what cannot be told from one has doubts of its own, too
+    for candidate in found.candidates:
+        assert candidate.alike == () or all(q.std > 0.0 for q in candidate.parameters.values())
