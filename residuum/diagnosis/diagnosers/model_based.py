@@ -155,8 +155,7 @@ class ModelBased(Diagnoser):
             for n in b.free
         }
         says = [
-            f"  {n} = {v['value']:.5g} {v['unit']}; a change by {v['smallest_visible_change']:.2g}"
-            " would be found in one window"
+            f"  {n} = {v['value']:.5g} {v['unit']}; {_found(unseen[n])} would be found in one window"
             for n, v in values.items()
             if not n.startswith(b.mended)
         ]
@@ -242,6 +241,11 @@ class ModelBased(Diagnoser):
         healthy = [_axis(seed) for seed in range(12)]
         faulty = [_axis(51, mass=120.0), _axis(52, friction=20.0), _axis(53, gain=1.1)]
         return (Example(healthy, None, [_axis(seed) for seed in (61, 62, 63)], faulty),)
+
+
+def _found(change: float) -> str:
+    """What of a value would be found, where its smallest visible change is known."""
+    return f"a change by {change:.2g}" if change < float("inf") else "no change, however large,"
 
 
 def _following(model: PhysicalModel | None, free: Sequence[str]) -> PhysicalModel:

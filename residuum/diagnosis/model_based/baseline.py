@@ -230,11 +230,14 @@ class Baseline:
 
     def smallest_visible(self, level: float) -> dict[str, float]:
         """The least change of each value that one usual window shows with probability 0.9, at this
-        chance of a false alarm.
+        chance of a false alarm; infinite where it shows none.
         """
         if not self.free:
             return {}
-        std = np.sqrt(np.diag(self.values.S) + 1.0 / np.maximum(self.typical, 1e-300))
+        # beyond the smallest normal number: what a window tells of a value that it does not tell
+        with np.errstate(divide="ignore"):
+            unknown = np.where(self.typical > 1e-300, 1.0 / self.typical, np.inf)
+        std = np.sqrt(np.diag(self.values.S) + unknown)
         reach = stats.t.isf(
             min(0.5, level / (6.0 * len(self.free))), self.values.freedom
         ) + stats.norm.ppf(VISIBLE_POWER)

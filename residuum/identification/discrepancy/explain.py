@@ -12,9 +12,8 @@ import numpy as np
 
 from residuum.identification.blas_threads import one_thread
 from residuum.identification.discrepancy.policy import OTHER_VALUE
-from residuum.identification.errors import BadRecord
+from residuum.identification.errors import BadRecord, NotIdentifiable
 from residuum.identification.physics import Key, PhysicalModel
-from residuum.identification.physics.estimation.coloured_covariance import coloured_covariance
 from residuum.identification.record import Record
 from residuum.identification.residual_analysis.compare import compare
 from residuum.identification.residual_analysis.feedback import innovation_variance
@@ -243,13 +242,14 @@ def answer_on_blocks(
     began: float,
 ) -> Explanation:
     """The answer by errors on unseen blocks."""
-    best, stds, steps = search.best, doubts_of(search), steps_of(search)
+    best, steps = search.best, steps_of(search)
+    stds = search.validation.doubts(best.structure)
     # beside the model as it is: what any smooth term would do is the measure of what names do
     free = free_terms(search.base, search.validation)
     left = _left(search)
     # few answers to few steps look like a walk at random, which passes for noise in `compare`
     slow = any(times > SLOW for _, _, times in left.values())
-    adequate = not slow and not compare(best.model, records, mapping, refuse_unstable=False).present
+    adequate = not slow and not leaves_something(best.model, records, mapping)
     verdict = verdict_on(search, steps, free, stds, adequate=adequate)
     free_beside = free_terms(best, search.validation) if best.keys else free
     timing = [step.key for step in steps if is_timing(step.key, search)]
@@ -289,15 +289,16 @@ def _named_by(steps: Sequence[Step]) -> set[Key]:
     return {key for fit in fits for key in fit.keys}
 
 
-def doubts_of(search: Search) -> dict[str, float]:
-    """Standard deviations of the best structure's parameters by full name, in noise of the colour
-    that is left.
+def leaves_something(
+    model: PhysicalModel, records: Sequence[Record], mapping: Mapping[str, str] | None
+) -> bool:
+    """Whether `compare` finds structure in what a model that was found leaves; as where it diverges
+    from the measured states, since only the first states that the search found follow the records.
     """
-    fit = search.validation.begun(search.best.structure)
-    if fit is None:
-        return {}
-    std = np.sqrt(np.maximum(np.diag(coloured_covariance(fit, search.validation.last.parts)), 0.0))
-    return dict(zip(fit.parameters, std.tolist(), strict=True))
+    try:
+        return compare(model, records, mapping, refuse_unstable=False).present
+    except NotIdentifiable:
+        return True
 
 
 def _unexplained(search: Search, terms: Sequence[BlockTerm]) -> float:
@@ -337,13 +338,14 @@ def _held(step: Step, search: Search, stds: Mapping[str, float]) -> HeldValue | 
         return None
     # which of them led is chance: the first of the model is the same for every record
     first, *alike = sorted(tied, key=list(model.parameters).index)
-    doubt = stds if tied[first] is search else doubts_of(tied[first])
-    before, now = model.parameters[first], tied[first].best.model.parameters[first]
+    asking = tied[first]
+    doubt = stds if asking is search else search.validation.doubts(asking.best.structure)
+    before, now = model.parameters[first], asking.best.model.parameters[first]
     return HeldValue(
         first,
         before.value,
         now.value,
-        float(doubt.get(first, 0.0)),
+        doubt.get(first, np.inf),
         now.unit,
         tuple(alike),
         () if is_value else (str(step.key),),

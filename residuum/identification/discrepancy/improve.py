@@ -15,8 +15,8 @@ from residuum.identification.blas_threads import one_thread
 from residuum.identification.discrepancy.explain import (
     Explanation,
     check_length,
-    doubts_of,
     explained,
+    leaves_something,
 )
 from residuum.identification.discrepancy.improvement import Improvement, Step, with_provenance
 from residuum.identification.discrepancy.kept_aside import (
@@ -39,7 +39,6 @@ from residuum.identification.physics import (
 )
 from residuum.identification.physics.model import fitting, takes_columns, tied_to
 from residuum.identification.record import Record
-from residuum.identification.residual_analysis.compare import compare
 from residuum.identification.unseen_blocks.cross_validation import ValidatedFit
 from residuum.identification.unseen_blocks.data import Data, data_of, matched
 from residuum.identification.unseen_blocks.proposals import without_idle
@@ -232,8 +231,8 @@ def _final(
     # from
     whole = _on_everything(search, final, data) if noted else None
     if whole is not None:
-        return whole.best.model, doubts_of(whole)
-    return final.model, doubts_of(replace(search, best=final))
+        return whole.best.model, whole.validation.doubts(whole.best.structure)
+    return final.model, search.validation.doubts(final.structure)
 
 
 def _at_rest(
@@ -408,7 +407,9 @@ def _improvement(
     if explanation is None:
         verdict = "improved" if history[-1].error < history[0].error else "not-improved"
     else:
-        verdict = _verdict(improved, records, how.mapping)
+        # that of the model as it will be written
+        left = leaves_something(improved, records, how.mapping)
+        verdict = "unknown-effect" if left else "adequate"
     return Improvement(
         improved,
         history,
@@ -418,19 +419,6 @@ def _improvement(
         explanation,
         joined.aside,
         tuple(joined.refused),
-    )
-
-
-def _verdict(
-    improved: PhysicalModel, records: Sequence[Record], mapping: Mapping[str, str] | None
-) -> str:
-    """That of `compare` on the model as it will be written: `adequate`, or what is left has no
-    name.
-    """
-    return (
-        "unknown-effect"
-        if compare(improved, records, mapping, refuse_unstable=False).present
-        else "adequate"
     )
 
 

@@ -188,7 +188,7 @@ def first_that_holds(
 
 def _kept_aside(records: Sequence[Record]) -> list[Split]:
     """The usual part, and of several records the one that goes furthest beyond the others, where
-    the usual part is not that.
+    the usual part is not that, and the others are no shorter than it.
     """
     usual = split(records)
     if len(records) < 2:
@@ -198,9 +198,12 @@ def _kept_aside(records: Sequence[Record]) -> list[Split]:
         _beyond(record, [peer for peer in records if peer is not record]) for record in records
     ]
     furthest = records[int(np.argmax(beyond))]
-    if [record for record, _ in usual.testing] == [furthest]:
+    others = [record for record in records if record is not furthest]
+    # a short record of one movement tells no model what another, long one, goes on to
+    too_little = sum(record.n for record in others) < furthest.n
+    if too_little or [record for record, _ in usual.testing] == [furthest]:
         return [usual]
-    return [usual, Split([record for record in records if record is not furthest], [(furthest, 0)])]
+    return [usual, Split(others, [(furthest, 0)])]
 
 
 def _beyond(record: Record, peers: Sequence[Record]) -> float:

@@ -154,6 +154,19 @@ def real_ones(
     ]
 
 
+def simpler_ones(ranked: Sequence[ValidatedFit], best: ValidatedFit) -> list[ValidatedFit]:
+    """Those that leave less than the best with fewer parameters, none of them rarer: what joined
+    first stood for two effects together, and took more to do it.
+    """
+    return [
+        rival
+        for rival in ranked
+        if rival.cost < best.cost
+        and rival.parameters < best.parameters
+        and rival.rarity <= best.rarity
+    ]
+
+
 def is_nothing(left: ValidatedFit, base: ValidatedFit, scale: Scale) -> bool:
     """Whether what is left is so small a part of the first error that nothing is sought in it."""
     return not scale.nats and left.cost - scale.floor < SMALL * (base.cost - scale.floor)

@@ -32,6 +32,7 @@ import numpy.typing as npt
 
 from residuum.array_types import FloatArray
 from residuum.identification.physics import Key, PhysicalModel
+from residuum.identification.physics.estimation.coloured_covariance import coloured_covariance
 from residuum.identification.physics.estimation.gauss_newton import Fit
 from residuum.identification.physics.estimation.least_squares import solve_scaled
 from residuum.identification.unseen_blocks.policy import DAMPING, LONG_RECORDS, QUICKLY_FITTED
@@ -52,8 +53,9 @@ class ValidatedFit:
     ----------
     structure : Structure
     parameters : float
-        How many its effects have that are estimated, and for how many more these count as they are
-        rare.
+        How many its effects have that are estimated, for how many more these count as they are
+        rare, and how many first states of the model's own are felt: those stay fitted to the blocks
+        that are left out.
     power : array, shape (blocks, measured outputs)
         Sums of squares in the scale, clipped.
     left : array, shape (rows, measured outputs)
@@ -275,6 +277,9 @@ def validated(
     model = structure.model
     parameters = structure.rarity + sum(not p.fixed for p in model.parameters.values())
     parameters += sum(not p.fixed for use in model.effects for p in use.parameters.values())
+    # of a position that no output tells each record has its own: with an effect of it each record
+    # would have a load of its own for nothing
+    parameters += fit.felt
     # once more in the outputs' units and unclipped: what a user is told
     squares, count = np.zeros((2, data.blocks, len(measured)))
     plain_errors = np.where(known, np.nan_to_num(unseen[:, measured]), 0.0)
@@ -355,3 +360,16 @@ class CrossValidation:
     def validate_fit(self, structure: Structure, fit: Fit) -> ValidatedFit | None:
         """The structure judged by a fit on the last horizon."""
         return validated(structure.at(self.last, fit), fit, self.last, self.data, self.scale)
+
+    def doubts(self, structure: Structure) -> dict[str, float]:
+        """Standard deviations of a structure's parameters by full name, in noise of the colour that
+        it leaves; none where it diverges.
+        """
+        fit = self.begun(structure)
+        if fit is None:
+            return {}
+        # a rival that hardly holds together has slopes beyond all numbers: then nothing is known
+        with np.errstate(over="ignore", invalid="ignore"):
+            variances = np.diag(coloured_covariance(fit, self.last.parts))
+        known = np.where(np.isfinite(variances), np.maximum(variances, 0.0), np.inf)
+        return dict(zip(fit.parameters, np.sqrt(known).tolist(), strict=True))

@@ -23,6 +23,7 @@ from residuum.identification.unseen_blocks.comparing import (
     going_on,
     is_nothing,
     real_ones,
+    simpler_ones,
     simplest,
 )
 from residuum.identification.unseen_blocks.cross_validation import (
@@ -101,7 +102,7 @@ def joins(outcome: Search, ranked: list[ValidatedFit]) -> bool:
     scale, before = outcome.validation.scale, outcome.best
     while True:
         real = real_ones(ranked, before, outcome.base, scale, outcome.tried)
-        real = real or _leaving_noise(outcome, ranked)
+        real = real or _leaving_noise(outcome, ranked) or simpler_ones(ranked, before)
         if not real:
             return False
         chosen = simplest(real, scale)
@@ -423,11 +424,9 @@ def next_beam(outcome: Search, ranked: Sequence[ValidatedFit]) -> list[Validated
     """The beam for the next level; where the unit of the error turned, its structures judged
     anew.
     """
-    in_noise = (
-        None
-        if outcome.validation.scale.nats
-        else validated_in_nats(outcome.best, outcome.validation)
-    )
+    in_noise = None
+    if not outcome.validation.scale.nats:
+        in_noise = validated_in_nats(outcome.best, outcome.validation)
     if in_noise is None:
         beam = going_on(ranked, outcome.validation.scale)
         return beam if outcome.best in beam else [outcome.best, *beam[:-1]]

@@ -434,15 +434,16 @@ def _candidate(
 ) -> Candidate:
     """What is said of an effect that was added to the structure `base`, after `number` others."""
     key, validated = entry.key, entry.validated
-    use = next(use for use in validated.model.effects if use.key == key)
-    parameters, doubts = use.parameters, dict.fromkeys(use.parameters, 0.0)
-    if key in search.best.keys:  # accepted: its values beside all others are told, with their doubt
-        best = next(use for use in search.best.model.effects if use.key == key)
-        parameters = best.parameters
-        doubts = {
-            name: 0.0 if p.fixed else float(stds.get(f"{use.label}.{name}", 0.0))
-            for name, p in parameters.items()
-        }
+    # of an accepted one the values beside all others are told
+    accepted = key in search.best.keys
+    told = search.best if accepted else validated
+    use = next(use for use in told.model.effects if use.key == key)
+    parameters = use.parameters
+    stds = stds if accepted else search.validation.doubts(told.structure)
+    doubts = {
+        name: 0.0 if p.fixed else stds.get(f"{use.label}.{name}", np.inf)
+        for name, p in parameters.items()
+    }
     before, after = base.rms, validated.rms
     # the output whose error falls most; one without any error has no ratio
     with np.errstate(invalid="ignore", divide="ignore"):

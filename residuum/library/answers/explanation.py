@@ -369,7 +369,8 @@ def explanation_text(explanation: Explanation) -> str:
     lines += map(held_text, explanation.held)
     # What was accepted in a later step is told whatever its probability there was.
     likely = [c for c in explanation.candidates if c.step > 0 or c.probability >= _RULED_OUT]
-    ruled_out = [c for c in explanation.candidates if c not in likely]
+    named = {candidate.key for candidate in likely} | set(explanation.timing)
+    ruled_out = [c for c in explanation.candidates if c not in likely and c.key not in named]
     lines += map(_candidate_text, likely[:6])
     if ruled_out:
         lines.append(

@@ -214,6 +214,18 @@ def test_what_a_baseline_cannot_see_is_told(watched):
     assert any("would be found in one window" in line for line in told["says"])
 
 
+def test_a_value_that_no_window_tells_has_no_change_that_would_be_found(watched):
+    blind = replace(
+        watched.baseline, typical=np.where(np.arange(len(watched.baseline.free)) == 0, 0.0, 1e6)
+    )
+    first = watched.baseline.free[0]
+    assert blind.smallest_visible(0.01)[first] == np.inf
+    seeing = type(watched)()
+    seeing._baseline = blind
+    (line,) = [line for line in seeing.learned()["says"] if line.startswith(f"  {first} = ")]
+    assert "no change, however large, would be found in one window" in line
+
+
 def test_a_window_that_stands_apart_is_told_when_training():
     rng = np.random.default_rng(4)
     windows = [

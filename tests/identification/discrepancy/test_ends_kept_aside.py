@@ -2,7 +2,8 @@
 
 import numpy as np
 
-from residuum.identification.discrepancy.kept_aside import first_that_holds
+from residuum.identification.discrepancy.explain import leaves_something
+from residuum.identification.discrepancy.kept_aside import _kept_aside, first_that_holds
 from residuum.identification.physics import read_model
 from residuum.identification.record import Record
 from residuum.identification.unseen_blocks.data import matched
@@ -64,3 +65,19 @@ def test_a_load_that_the_most_different_record_does_not_have_is_not_kept():
     ]
     assert first_that_holds(models[0], models[1:], found, records[1:], None) == 0
     assert first_that_holds(models[0], models[1:], found, records, None) is None
+
+
+def test_a_record_longer_than_all_others_is_no_test_of_what_they_tell():
+    """Left out, next to nothing would remain to learn from; one that goes as far and is no longer is one."""
+    short, far = cart_record(np.zeros(500), 500), cart_record(np.zeros(1500), 1500, 12.0)
+    assert [split.testing for split in _kept_aside([far, short])] == [[(short, 0)]]
+    cut = far.window(0, 500)
+    assert [split.testing for split in _kept_aside([cut, short])] == [[(short, 0)], [(cut, 0)]]
+
+
+def test_a_model_that_diverges_from_what_was_measured_leaves_something():
+    """`compare` begins at the measured states; a search may have followed the records from other ones."""
+    runaway = read_model(
+        CART.replace("-d * v}", "d * v**3}").replace("unit: N*s/m,", "unit: N*s**3/m**3,")
+    )
+    assert leaves_something(runaway, [cart_record(np.zeros(500), 500, 60.0)], None)

@@ -13,6 +13,7 @@ from residuum.identification.unseen_blocks.comparing import (
     is_alike,
     is_real,
     paired,
+    simpler_ones,
     simplest,
 )
 from residuum.identification.unseen_blocks.policy import RARE
@@ -139,3 +140,10 @@ def test_a_rare_effect_has_to_earn_more_than_one_that_is_often_missing():
     )
     assert rarity(drive, Key("output-drift", output)) == RARE
     assert rarity(drive, Key("held", "J")) == 0.0
+
+
+def test_what_leaves_less_with_fewer_parameters_takes_the_place_of_the_best():
+    best = one(EVEN, parameters=6)
+    simpler, dearer, worse = one(0.99 * EVEN, 5), one(0.99 * EVEN, 6), one(1.01 * EVEN, 5)
+    rare = replace(simpler, rarity=RARE)
+    assert simpler_ones([dearer, worse, rare, simpler], best) == [simpler]

@@ -1,5 +1,7 @@
 """The search on unseen blocks names what is missing, in a world that has a little more than its catalogue."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -112,3 +114,17 @@ def test_a_loss_is_not_taken_for_a_store_that_never_fills():
     filled, far = {"C_2": 300.0, "G": 0.4}, {"C_2": 1.2e5, "G": 0.4}
     store, window = find_effect("second-heat-store"), Conditions(15.0, 2800.0, 1.0)
     assert store.shows(filled, window) and not store.shows(far, window)
+
+
+def test_a_ripple_of_which_each_sample_sees_another_phase_is_none():
+    """A pendulum of 1 Hz, sampled at 100 Hz, was said to cog 888 times a radian: half a period passed in a third
+    of a millisecond."""
+    t = np.arange(0.0, 10.0, 0.01)
+    position, velocity = np.sin(2 * np.pi * t), 2 * np.pi * np.cos(2 * np.pi * t)
+    swing = Conditions(0.01, 10.0, 1.0, variables={"position": position, "velocity": velocity})
+    for name in ("tooth-ripple", "cogging"):
+        ripple = find_effect(name)
+        assert ripple.shows({"n": 30.0}, swing) and not ripple.shows({"n": 888.0}, swing)
+        # at rest nothing passes, and where no speed is known nothing is refused
+        assert ripple.shows({"n": 888.0}, replace(swing, variables={"position": position}))
+        assert ripple.shows({"n": 888.0}, replace(swing, variables={"velocity": 0.0 * velocity}))

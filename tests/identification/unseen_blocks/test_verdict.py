@@ -53,7 +53,9 @@ def said(*tried, best=0, adequate=False, sample_time=1e-3):
     base = validated(EVEN)
     every = {one.keys: one for one in (base, *tried)}
     validation = SimpleNamespace(
-        scale=SCALE, data=SimpleNamespace(experiments=[SimpleNamespace(sample_time=sample_time)])
+        doubts=lambda structure: {},
+        scale=SCALE,
+        data=SimpleNamespace(experiments=[SimpleNamespace(sample_time=sample_time)]),
     )
     found = Search(validation, base, base if best < 0 else tried[best], None, every)
     return verdict_on(found, steps_of(found), (), {}, adequate=adequate), counted(

@@ -64,7 +64,9 @@ def fan(run_service):
     service = run_service()
     rng = np.random.default_rng(3)
     for k in range(20):
-        record = Record({"speed": rng.standard_normal(100)}, {"speed": "rad/s"}, 0.01, t0=float(k))
+        # an even clock of its own: a store that is held up for a while must not bend the drift
+        at = 1_790_000_000.0 + 60.0 * k
+        record = Record({"speed": rng.standard_normal(100)}, {"speed": "rad/s"}, 0.01, t0=at)
         value = {
             "value": 1.0 + 0.05 * k + 0.01 * rng.standard_normal(),
             "std": 0.01,
@@ -75,7 +77,6 @@ def fan(run_service):
             "model-based", "healthy", reason="-", evidence={"parameters": {"R": value}}
         )
         service.services.store.add_window("fan", record, finding)
-        time.sleep(0.02)
     return service
 
 

@@ -21,6 +21,11 @@ N, START = 500, 1_772_323_200  # 2026-03-01 00:00 UTC
 SPEED = 100.0 + np.random.default_rng(0).normal(size=N)
 
 
+def asked(base, statement):
+    with urlopen(f"{base}/query?{urlencode({'q': statement})}", data=b"") as answer:
+        return answer.read().decode()
+
+
 @pytest.fixture(scope="module")
 def influx(tmp_path_factory):
     """The address of a database `plant` with the measurements `pumps` and `words`."""
@@ -46,7 +51,11 @@ def influx(tmp_path_factory):
         except (URLError, OSError):
             assert server.poll() is None and time.monotonic() < end
             time.sleep(0.1)
-    urlopen(f"{base}/query?{urlencode({'q': 'CREATE DATABASE plant'})}", data=b"").close()
+    # what fails in a statement is told in an answer of 200: a server that has just begun may be
+    # too busy to make one
+    while "plant" not in asked(base, "SHOW DATABASES"):
+        asked(base, "CREATE DATABASE plant")
+        assert server.poll() is None and time.monotonic() < end
     lines = [
         f"pumps,site=north speed\\ [rpm]={float(SPEED[k])!r},on={'true' if k % 2 else 'false'},"
         f'mode="run"{f",oil={40 + k}i" if k % 10 == 0 else ""} {START + k}'

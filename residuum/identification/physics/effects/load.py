@@ -111,6 +111,8 @@ _FEWEST, _MANY = 5.0, 12.0
 """Periods over the travel from which on a wave may be a ripple, and up to which it may be a load
 that depends on the position.
 """
+_MOVES, _SLOWLY = 0.01, 0.25
+"""Part of the largest speed from which on a machine moves, and of that time in which it is slow."""
 _REFINED_ON = 10_000
 """Samples on which a wave number is refined."""
 
@@ -217,6 +219,15 @@ class ToothRipple(Effect):
                 # a response that lags differently both ways splits the peak
                 orders.append(0.5 * (orders[0] + orders[1]))
         return [{"a": size, "b": size, "n": float(order)} for order in orders]
+
+    def shows(self, values: Mapping[str, float], conditions: Conditions) -> bool:
+        """Whether samples tell the wave: where the machine moves slowly, no more than half a period
+        passes between two. Of a shorter one each sample sees another phase, as of noise.
+        """
+        speed = np.abs(conditions.variables.get("velocity", np.zeros(1)))
+        moving = speed[speed > _MOVES * speed.max()]
+        slow = float(np.quantile(moving, _SLOWLY)) if len(moving) else 0.0
+        return values["n"] * slow * conditions.sample_time < np.pi
 
     def grown(self, special: Mapping[str, float], conditions: Conditions) -> list[dict[str, float]]:
         """The same wave, where it is short."""

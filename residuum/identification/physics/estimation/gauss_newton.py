@@ -323,6 +323,16 @@ class Fit:
         )
         return np.sqrt(np.diag(covariance))
 
+    @property
+    def felt(self) -> int:
+        """First states of the model's own, over all windows, that an output feels."""
+        simulator, q = self.problem.simulator, len(self.theta)
+        own = len(simulator.free_states) - len(simulator.kernel.deviating)
+        squares = np.einsum("coii->ci", self.M)[:, q : q + own]
+        by_window = np.zeros((len(self.X0), own))
+        np.add.at(by_window, self.problem.cells.part, squares)
+        return int(np.count_nonzero(by_window))
+
     def step(
         self, use: Array | None = None, damping: float = 0.0, ridge: float = 0.0
     ) -> tuple[Array, Array]:
