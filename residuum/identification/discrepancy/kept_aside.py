@@ -13,6 +13,7 @@ import numpy as np
 from residuum.array_types import FloatArray
 from residuum.identification.discrepancy.policy import (
     KEPT_RISE,
+    LEAST_TO_LEARN_FROM,
     STATES_ITERATIONS,
     STATES_TOLERANCE,
 )
@@ -188,7 +189,7 @@ def first_that_holds(
 
 def _kept_aside(records: Sequence[Record]) -> list[Split]:
     """The usual part, and of several records the one that goes furthest beyond the others, where
-    the usual part is not that, and the others are no shorter than it.
+    the usual part is not that, and the others are long enough beside it.
     """
     usual = split(records)
     if len(records) < 2:
@@ -200,7 +201,7 @@ def _kept_aside(records: Sequence[Record]) -> list[Split]:
     furthest = records[int(np.argmax(beyond))]
     others = [record for record in records if record is not furthest]
     # a short record of one movement tells no model what another, long one, goes on to
-    too_little = sum(record.n for record in others) < furthest.n
+    too_little = sum(record.n for record in others) < LEAST_TO_LEARN_FROM * furthest.n
     if too_little or [record for record, _ in usual.testing] == [furthest]:
         return [usual]
     return [usual, Split(others, [(furthest, 0)])]
