@@ -19,7 +19,6 @@ from residuum.service.fieldbus.can.frame_batch import (
     FrameBatch,
     FrameBatchBuilder,
 )
-from residuum.service.fieldbus.can.packets import Packets
 
 # Frames: a bus that never falls silent must not keep a read from ending.
 _MOST_IN_ONE_READ = 2048
@@ -32,27 +31,20 @@ _SO_RCVBUFFORCE = 33  # Linux's name, which Python does not have
 
 
 class CanBus:
-    """A bus of python-can. On `udp_multicast` what is sent here comes back here, too.
+    """A bus of python-can. On `udp_multicast` what is sent here comes back here, too."""
 
-    Parameters
-    ----------
-    bus : can.BusABC
-    packets : Packets, optional
-        Puts together what comes in packets; without it they are frames as others are.
-    """
-
-    def __init__(self, bus: can.BusABC, packets: Packets | None = None) -> None:
-        self._bus, self._packets = bus, packets
+    def __init__(self, bus: can.BusABC) -> None:
+        self._bus = bus
         self._ended: Exception | None = None
         _make_room(bus)
 
-    def read(self, timeout: float) -> FrameBatch:
-        """Frames that came within `timeout` seconds; OSError or can.CanError once the bus has
-        failed or reported a bus-off.
+    def read(self, timeout: float, into: FrameBatchBuilder | None = None) -> FrameBatch:
+        """Frames that came within `timeout` seconds, collected `into` a builder; OSError or
+        can.CanError once the bus has failed or reported a bus-off.
         """
         if self._ended:
             raise self._ended
-        batch = FrameBatchBuilder()
+        batch = into or FrameBatchBuilder()
         for number in range(_MOST_IN_ONE_READ):
             if not self._take(batch, 0 if number else timeout):
                 break
@@ -73,19 +65,10 @@ class CanBus:
         if message is None:
             return False
         batch.add(message)
-        self._put_together(batch, message)
         # raised by the next read, so that what this one has is delivered first
         if message.is_error_frame and message.arbitration_id & BUS_OFF:
             self._ended = can.CanOperationError("bus-off")
         return self._ended is None
-
-    def _put_together(self, batch: FrameBatchBuilder, message: can.Message) -> None:
-        """Add a message of which this frame is the last packet."""
-        if self._packets is None or message.is_error_frame or not message.is_extended_id:
-            return
-        whole = self._packets.put(message.arbitration_id | EXTENDED, message.data)
-        if whole is not None:
-            batch.put(*whole)
 
     def send(self, frame_id: int, data: bytes, *, is_fd: bool = False) -> None:
         """Send one frame; an identifier that is long or has `EXTENDED` makes it an extended one."""
@@ -107,7 +90,7 @@ class CanBus:
         self._bus.shutdown()
 
 
-def open_bus(channel: str, packets: Packets | None = None) -> CanBus:
+def open_bus(channel: str) -> CanBus:
     """Open `interface:channel`, for example `socketcan:can0`, `virtual:bench`,
     `udp_multicast:239.74.163.2:43113`.
 
@@ -116,7 +99,7 @@ def open_bus(channel: str, packets: Packets | None = None) -> CanBus:
     """
     arguments = bus_arguments(channel)
     try:
-        return CanBus(can.Bus(**arguments, fd=True), packets)
+        return CanBus(can.Bus(**arguments, fd=True))
     except can.CanInitializationError as error:
         raise can.CanInitializationError(
             f"{channel}: {error.__cause__ or error} (a multicast group needs a route)"

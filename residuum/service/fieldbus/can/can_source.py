@@ -18,7 +18,7 @@ from residuum.service.fieldbus.can.frame_layout import (
     source_of,
 )
 from residuum.service.fieldbus.can.frame_matching import FrameMatching, several_sources
-from residuum.service.fieldbus.can.packets import Packets
+from residuum.service.fieldbus.can.packets import Packets, WholeMessages
 from residuum.service.fieldbus.sequence import BREAK, Placed, SequenceCounter
 from residuum.service.fieldbus.source import (
     Backoff,
@@ -133,12 +133,11 @@ class CanSource(Source):
         backoff, opened_before = Backoff(), False
         while not self._stopped.is_set():
             try:
-                packets = Packets(self._long) if self._long else None
-                self._bus = open_bus(self.channel, packets)
+                self._bus = open_bus(self.channel)
                 if opened_before:
                     self.health.count("reconnects")
                 opened_before = True
-                self._read_while_it_works(backoff, packets)
+                self._read_while_it_works(backoff)
             # ValueError: drivers of python-can raise it where a channel does not fit the interface
             except (OSError, can.CanError, ValueError) as error:
                 self.health.count("bus_errors", 1, f"{type(error).__name__}: {error}")
@@ -151,17 +150,18 @@ class CanSource(Source):
         if bus is not None:
             bus.close()
 
-    def _read_while_it_works(self, backoff: Backoff, packets: Packets | None) -> None:
+    def _read_while_it_works(self, backoff: Backoff) -> None:
+        packets = Packets(self._long)
         while not self._stopped.is_set() and self._bus is not None:
             bus = self._bus
-            batch = bus.read(_POLL)
+            batch = bus.read(_POLL, WholeMessages(packets=packets))
             # the bus was seen empty: only then is the time since the last frame a silence of the
             # bus
             if batch.empty:
                 self._was_empty = True
                 continue
             self._take(batch)
-            for name, times in packets.given_up() if packets else ():
+            for name, times in packets.given_up():
                 self.health.count("lost", times, f"{name}: a packet of it did not come")
             # a bus that opens and gives nothing is not back: frames alone end the longer waits
             backoff.reset()

@@ -50,8 +50,7 @@ class FrameBatchBuilder:
         if message.is_error_frame:
             self.errors += not message.arbitration_id & BUS_OFF
         elif not message.is_remote_frame:
-            identifier = message.arbitration_id | EXTENDED * message.is_extended_id
-            self.put(identifier, message.data)
+            self.put(message.arbitration_id | EXTENDED * message.is_extended_id, message.data)
 
     def put(self, identifier: int, data: bytes | bytearray) -> None:
         """The bytes of one data frame."""

@@ -8,7 +8,7 @@ from collections import Counter
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 
-from residuum.service.fieldbus.can.frame_batch import EXTENDED
+from residuum.service.fieldbus.can.frame_batch import EXTENDED, FrameBatchBuilder
 from residuum.service.fieldbus.can.frame_layout import FrameLayout, group_of, source_of
 from residuum.service.fieldbus.can.frame_matching import FrameMatching
 
@@ -122,3 +122,16 @@ class Packets:
     def _give_up(self, devices: int) -> None:
         if coming := self._coming.pop(devices, None):
             self._given_up[coming.layout.name] += 1
+
+
+@dataclass
+class WholeMessages(FrameBatchBuilder):
+    """Collects frames, and the messages that `packets` puts together from them."""
+
+    packets: Packets = field(default_factory=lambda: Packets(()))
+
+    def put(self, identifier: int, data: bytes | bytearray) -> None:
+        """The bytes of one data frame, and of a message of which it is the last packet."""
+        super().put(identifier, data)
+        if whole := self.packets.put(identifier, data):
+            super().put(*whole)
